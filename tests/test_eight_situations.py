@@ -5,7 +5,6 @@ import json
 import os
 import runpy
 import signal
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 
 import pytest
 from brokers import Mosquitto
+from command_line import PROGRAM
 from observer import Observer, observe
 from scenarios import IDEAL
 from service_bench import Bench
@@ -70,7 +70,7 @@ async def test_clean_stop(bench: Bench, mosquitto: Mosquitto) -> None:
 
 async def test_crash(bench: Bench, mosquitto: Mosquitto) -> None:
     bench.service()  # which writes the configuration
-    command = (sys.executable, "-m", "resonator_daemon.commands", "run", "--config", str(bench.folder / "board.toml"))
+    command = (*PROGRAM, "run", "--config", str(bench.folder / "board.toml"))
     async with bench.emulated(scenario=bench.scenario(IDEAL)), observe(mosquitto.url) as observer:
         daemon = await asyncio.create_subprocess_exec(*command, stderr=asyncio.subprocess.DEVNULL)
         await well(observer)

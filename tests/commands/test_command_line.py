@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from command_line import exit_code
+from command_line import PROGRAM, ended, exit_code
 
 from resonator_daemon.board.config import load_config
 from resonator_daemon.commands._command_line import command_names
 from resonator_daemon.mqtt.asyncapi import document
 from resonator_daemon.tools.demo.run import DemoOptions
 
-COMMAND = (sys.executable, "-m", "resonator_daemon.commands")
 ALL = tuple(command_names())
 
 
@@ -105,7 +104,7 @@ def test_the_example_passes_its_own_check(config_path: Path, resonatord: Resonat
 def test_what_cannot_be_printed_fails(arguments: tuple[str, ...]) -> None:
     with open("/dev/full", "w") as full:
         run = subprocess.run(
-            [*COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False, timeout=60
+            [*PROGRAM, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False, timeout=60
         )
     assert run.returncode == 1
     assert run.stderr == "resonatord: No space left on device\n"
@@ -128,10 +127,9 @@ def test_a_command_of_an_extension_fails_alone(tmp_path: Path) -> None:
         (tmp_path / name).write_text(text)
 
     def run(*words: str) -> tuple[int, str, list[str]]:
-        environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-        ended = subprocess.run([*COMMAND, *words], capture_output=True, text=True, env=environment, timeout=60)
-        left_out = [line.split()[2] for line in ended.stderr.splitlines() if line.startswith("warning: extension ")]
-        return ended.returncode, ended.stdout, left_out
+        done = ended(*words, env=os.environ | {"PYTHONPATH": str(tmp_path)})
+        left_out = [line.split()[2] for line in done.stderr.splitlines() if line.startswith("warning: extension ")]
+        return done.returncode, done.stdout, left_out
 
     code, text, left_out = run("--help")
     assert (code, left_out) == (0, ["group", "lacks"])
@@ -150,12 +148,8 @@ def test_schema_prints_the_document_of_daemons(form: tuple[str, ...], resonatord
 
 def test_emulate_states_its_link_first_and_its_accounts_last(tmp_path: Path) -> None:
     port = tmp_path / "board"
-    emulator = subprocess.Popen(
-        [*COMMAND, "emulate", "--plate", "quartz16", "--pty", str(port), "--json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
+    command = [*PROGRAM, "emulate", "--plate", "quartz16", "--pty", str(port), "--json"]
+    emulator = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     assert json.loads(emulator.stdout.readline()) == {
         "link": f"serial:{port}?baud=4000000",
         "plate": "quartz16",

@@ -6,20 +6,18 @@ import pkgutil
 import shlex
 import signal
 import subprocess
-import sys
 import tomllib
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from command_line import exit_code
+from command_line import PROGRAM, exit_code
 
 import resonator_daemon
 from resonator_daemon.base.errors import FAILURES, MissingLibraryError, UserError
 from resonator_daemon.commands._command_line import command_names
 
 RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
-PROGRAM = (sys.executable, "-m", "resonator_daemon.commands")
 FAILING = tomllib.loads(Path(__file__).with_name("failing_commands.toml").read_text())["failure"]
 LINES = [(line, failure["exit_code"], failure["code"]) for failure in FAILING for line in failure["commands"]]
 LINES += [(f"{name} --nope", 2, "usage") for name in command_names() if name not in ("decode", "run")]

@@ -9,10 +9,10 @@ from typing import Final
 
 import pytest
 from brokers import Mosquitto
+from command_line import PROGRAM
 from observer import observe, until
 
 CORPUS: Final = Path(__file__).parents[1] / "corpus"
-COMMAND: Final = (sys.executable, "-m", "resonator_daemon.commands")
 
 
 @pytest.fixture(autouse=True)
@@ -23,7 +23,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 async def test_a_replay_to_a_broker_states_what_it_published(mosquitto: Mosquitto) -> None:
     recording = str(CORPUS / "touches" / "recording.mcap")
-    command = [*COMMAND, "replay", recording, "--url", mosquitto.url, "--name", "hand", "--speed", "0.1", "--json"]
+    command = [*PROGRAM, "replay", recording, "--url", mosquitto.url, "--name", "hand", "--speed", "0.1", "--json"]
     async with observe(mosquitto.url) as heard:
         replay = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         await heard.until_count("resonator/hand/forces", 1)
@@ -91,7 +91,7 @@ def test_no_signal_is_lost(line: str, stop: signal.Signals) -> None:
 async def test_a_process_ends_with_its_code_at_any_time(command: str, stop: signal.Signals, library: str) -> None:
     """At its first line, when it has a handler, and when it has loaded a library."""
     code = int(command.split()[0] not in ("run", "watch"))
-    with subprocess.Popen([*COMMAND, *command.split()], stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen([*PROGRAM, *command.split()], stderr=subprocess.PIPE, text=True) as process:
         proc = Path(f"/proc/{process.pid}")
         await until(lambda: handles_sigterm(proc) and library in (proc / "maps").read_text())
         process.send_signal(stop)

@@ -4,12 +4,12 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import threading
 from contextlib import closing
 from pathlib import Path
 
 import pytest
+from command_line import PROGRAM, ended
 from emulation import emulated
 from recording_bench import read, replayed
 
@@ -22,8 +22,6 @@ from resonator_daemon.daemon.service.link_recording import NoBoardError, PortInU
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
-COMMAND = (sys.executable, "-m", "resonator_daemon.commands", "record")
-
 
 def config(tmp_path: Path, link: str, plate: str = "quartz16") -> Path:
     path = tmp_path / "board.toml"
@@ -31,16 +29,11 @@ def config(tmp_path: Path, link: str, plate: str = "quartz16") -> Path:
     return path
 
 
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [*COMMAND, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-
-
 def test_a_second_of_a_board_is_recorded(tmp_path: Path) -> None:
     port, output = tmp_path / "board", tmp_path / "run.mcap"
     path = config(tmp_path, f"serial:{port}?baud=4000000")
     with emulated(EmulatorOptions("quartz16", pty=port)):
-        made = run("--config", path, "--output", output, "--seconds", 1, "--json")
+        made = ended("record", "--config", path, "--output", output, "--seconds", 1, "--json")
     assert made.returncode == 0, made.stderr
     report = json.loads(made.stdout)
     assert (report["verb"], report["ok"], report["board"], report["file"]) == ("record", True, "EMU-0001", str(output))
@@ -82,7 +75,14 @@ def test_a_port_in_use_is_reported_at_once(tmp_path: Path) -> None:
 
 def test_an_interrupt_ends_a_recording_in_order(tmp_path: Path) -> None:
     port, output = tmp_path / "board", tmp_path / "run.mcap"
-    command = [*COMMAND, "--config", str(config(tmp_path, f"serial:{port}?baud=4000000")), "--output", str(output)]
+    command = [
+        *PROGRAM,
+        "record",
+        "--config",
+        str(config(tmp_path, f"serial:{port}?baud=4000000")),
+        "--output",
+        str(output),
+    ]
     with emulated(EmulatorOptions("quartz16", pty=port)):
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         assert process.stderr is not None
@@ -104,7 +104,7 @@ def test_an_interrupt_ends_a_recording_in_order(tmp_path: Path) -> None:
 def test_a_disk_that_fills_ends_a_recording_and_leaves_what_is_written(tmp_path: Path) -> None:
     port, output = tmp_path / "board", tmp_path / "run.mcap"
     path = config(tmp_path, f"serial:{port}?baud=4000000")
-    small = ["prlimit", "--fsize=150000", *COMMAND, "--config", str(path), "--output", str(output), "--json"]
+    small = ["prlimit", "--fsize=150000", *PROGRAM, "record", "--config", str(path), "--output", str(output), "--json"]
     with emulated(EmulatorOptions("quartz16", pty=port)):
         made = subprocess.run(small, capture_output=True, text=True, timeout=60, check=False)
     assert made.returncode == 1

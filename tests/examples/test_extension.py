@@ -9,6 +9,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from command_line import ended
+
 from resonator_daemon.board.recording.reader import open_recording
 
 ROOT = Path(__file__).parents[2]
@@ -22,11 +24,9 @@ def test_carrier_export_finding_and_sensor_of_another_package(tmp_path: Path) ->
     subprocess.run([*PIP, "--target", tmp_path / "installed", tmp_path / "source"], check=True, timeout=120)
 
     def run(*words: object) -> dict[str, Any]:
-        command = [sys.executable, "-m", "resonator_daemon.commands", *map(str, words), "--json"]
-        environment = os.environ | {"PYTHONPATH": str(tmp_path / "installed")}
-        ended = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=tmp_path, timeout=60)
-        assert "warning" not in ended.stderr
-        printed: dict[str, Any] = json.loads(ended.stdout)
+        done = ended(*words, "--json", env=os.environ | {"PYTHONPATH": str(tmp_path / "installed")}, cwd=tmp_path)
+        assert "warning" not in done.stderr
+        printed: dict[str, Any] = json.loads(done.stdout)
         return printed
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:

@@ -1,11 +1,10 @@
 """An extension without its library is one message when it is used, and no other command needs the library."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from command_line import ended
 
 from resonator_daemon.base.errors import ExitCode
 
@@ -27,9 +26,7 @@ def test_a_missing_library_is_one_message(library: str, words: list[str | Path],
     (tmp_path / library / "__init__.py").write_text("raise ImportError")
 
     def run(*words: str | Path) -> tuple[int, list[str]]:
-        command = [sys.executable, "-m", "resonator_daemon.commands", *map(str, words)]
-        environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-        done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=tmp_path, timeout=60)
+        done = ended(*words, env=os.environ | {"PYTHONPATH": str(tmp_path)}, cwd=tmp_path)
         return done.returncode, done.stderr.splitlines()
 
     code, (message,) = run(*words)

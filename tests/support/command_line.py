@@ -1,6 +1,18 @@
-"""The command line, in the test's own process."""
+"""The command line, in the test's own process and in one of its own."""
+
+import subprocess
+import sys
+from typing import Any
 
 from resonator_daemon.commands import main
+
+PROGRAM = (sys.executable, "-m", "resonator_daemon.commands")
+
+
+def ended(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run a command in a process of its own to its end."""
+    command = [*PROGRAM, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, **options)
 
 
 def exit_code(*words: object) -> int:

@@ -1,11 +1,11 @@
 """Plates whose sites can be mistaken for each other: refused with the pair, unless the file insists."""
 
-import subprocess
-import sys
 from pathlib import Path
+from subprocess import CompletedProcess
 from typing import Any
 
 import pytest
+from command_line import ended
 from plates import plate_head, site
 
 from resonator_daemon.base.plate import Plate, load_plate, shipped_plates
@@ -24,13 +24,12 @@ def plate_text(ppm_apart: float, *, thermal: str = "", **counter: bool) -> str:
     )
 
 
-def check(folder: Path, plate: str, *arguments: str, verb: str = "check") -> subprocess.CompletedProcess[str]:
+def check(folder: Path, plate: str, *arguments: str, verb: str = "check") -> CompletedProcess[str]:
     (folder / "plate.toml").write_text(plate)
     config = folder / "board.toml"
     config.write_text('name = "left"\nplate = "plate.toml"\nlink = "tcp://127.0.0.1:9"\n')
     files = ["--config", str(config)] if verb == "run" else [str(config)]
-    command = [sys.executable, "-m", "resonator_daemon.commands", verb, *files, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return ended(verb, *files, *arguments)
 
 
 def test_no_shipped_plate_has_codes_that_overlap() -> None:

@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import exit_code
+from command_line import PROGRAM, exit_code
 from emulated_loads import TRUE, Touches, nominal_text, true_text
 from emulation import emulated
 
@@ -58,22 +57,8 @@ class Desk:
             yield
 
     def start(self, *arguments: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
-        command = [
-            sys.executable,
-            "-m",
-            "resonator_daemon.commands",
-            "calibrate",
-            "--config",
-            str(self.config),
-            "--json",
-        ]
-        return subprocess.Popen(
-            [*command, *arguments],
-            stdin=stdin,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        command = [*PROGRAM, "calibrate", "--config", str(self.config), "--json", *arguments]
+        return subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
     def run(self, *arguments: str, stdin: int = subprocess.DEVNULL) -> tuple[int, list[dict[str, Any]], str]:
         """Calibrate in a process of its own."""
