@@ -20,6 +20,14 @@ async def until(predicate: Callable[[], bool]) -> None:
             await asyncio.sleep(0.005)
 
 
+async def logged_once(caplog: pytest.LogCaptureFixture, text: str) -> None:
+    """Wait for a line of log with this text, in any case, which the next attempts do not repeat."""
+    await until(lambda: text.lower() in caplog.text.lower())
+    for _ in range(10):
+        await asyncio.sleep(0.002)
+    assert len(caplog.records) == 1
+
+
 def skipping(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Awaitable[None]]:
     """Return what lets time of the event loop pass at once, and the timers of that time run."""
     loop = asyncio.get_running_loop()

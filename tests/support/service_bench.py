@@ -2,12 +2,12 @@
 
 import asyncio
 import json
-import threading
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+from emulation import emulated
 from observer import Observer
 
 from resonator_daemon.daemon.service.config_store import ConfigStore
@@ -33,14 +33,8 @@ class Bench:
     async def emulated(self, plate: str = "quartz16", **options: Any) -> AsyncIterator[Emulator]:
         if "tcp" not in options:
             options |= {"pty": self.port} if plate == "quartz16" else {"tcp": ("127.0.0.1", 0)}
-        emulator = Emulator(EmulatorOptions(plate, truth=self.truth_path, **options))
-        thread = threading.Thread(target=emulator.run)
-        thread.start()
-        try:
+        with emulated(EmulatorOptions(plate, truth=self.truth_path, **options)) as emulator:
             yield emulator
-        finally:
-            emulator.stop()
-            await asyncio.to_thread(thread.join)
 
     def service(
         self,
@@ -51,13 +45,14 @@ class Bench:
         allow: tuple[str, ...] = (),
         measurement: tuple[str, ...] = (),
         mqtt: tuple[str, ...] = (),
+        tables: tuple[str, ...] = (),
     ) -> Service:
         config = self.folder / "board.toml"
         lines = [f'plate = "{plate}"', f'link = "{link or f"serial:{self.port}?baud=4000000"}"']
         lines += [f'name = "{name}"'] if name else []
         lines += ["[mqtt]", f'url = "{self.broker_url}"', *mqtt, "[decoding]", decoding]
         lines += ["[measurement]", *measurement] if measurement else []
-        lines += ["[commands]", f"allow = {json.dumps(allow)}"]
+        lines += ["[commands]", f"allow = {json.dumps(allow)}", *tables]
         config.write_text("\n".join(lines) + "\n")
         return Service(ConfigStore(config, self.folder / "last-good"))
 

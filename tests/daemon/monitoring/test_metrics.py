@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import status_samples
 from brokers import free_port
-from observer import running_task
+from observer import logged_once, running_task
 from prometheus_client import generate_latest
 from prometheus_client.openmetrics.exposition import generate_latest as generate_openmetrics
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
@@ -183,15 +183,10 @@ async def test_a_taken_port_is_logged_once_and_served_when_free(
         other.bind((address.host, address.port))
         other.listen()
         async with serving(address, retry_s=0.001):
-            while not caplog.records:  # noqa: ASYNC110 - the log has no event
-                await asyncio.sleep(0.001)
-            for _ in range(10):
-                await asyncio.sleep(0.002)
-            assert len(caplog.records) == 1
+            await logged_once(caplog, "address already in use")
             other.close()
             assert (await ask(address)).status == 200
     assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
-    assert "address already in use" in caplog.messages[0].lower()
     assert caplog.messages[1] == f"metrics at http://{address}/metrics"
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import status_samples
-from observer import running_task, until
+from observer import logged_once, running_task, until
 from status_samples import listens
 
 from resonator_daemon.daemon.monitoring.status import Status
@@ -81,13 +81,9 @@ async def test_a_running_daemons_socket_is_not_taken_before_it_ends(
             with pytest.raises(AlreadyRunningError, match=f"^process {other.pid} runs with this configuration"):
                 second.run().send(None)  # before it waits for anything
             assert not second.may_begin.is_set()
-            async with serving(path, retry_s=0.01):
-                await until(lambda: bool(caplog.records))
-                for _ in range(10):
-                    await asyncio.sleep(0.01)  # tries again, and says nothing new
+            async with serving(path, retry_s=0.001):
+                await logged_once(caplog, f"process {other.pid}")
                 assert json.loads(await ask(path))["instance"] == "other"
-                assert len(caplog.records) == 1
-                assert f"process {other.pid}" in caplog.text
                 other.kill()
                 await until(lambda: other.poll() is not None)
                 await until(lambda: listens(path))
@@ -100,11 +96,7 @@ async def test_a_path_too_long_for_sockets_is_reported_once(tmp_path: Path, capl
     room = PATH_BYTES_MAX - len(os.fsencode(tmp_path)) - len("//status.sock")
     path = tmp_path / ("é" * (room // 2) + "e" * (room % 2 + 1)) / "status.sock"
     async with serving(path, retry_s=0.001):
-        await until(lambda: bool(caplog.records))
-        for _ in range(10):
-            await asyncio.sleep(0.002)
-    assert len(caplog.records) == 1
-    assert "has 108 bytes, and sockets take 107 at most; give" in caplog.text
+        await logged_once(caplog, "has 108 bytes, and sockets take 107 at most; give")
 
 
 @pytest.mark.parametrize("name", ["run", "run/status.sock"])
@@ -119,11 +111,7 @@ async def test_what_is_in_the_way_is_left_alone_and_logged_once(
     else:
         in_the_way.write_text("kept")
     async with serving(path, retry_s=0.001):
-        await until(lambda: bool(caplog.records))
-        for _ in range(10):
-            await asyncio.sleep(0.002)
-        assert len(caplog.records) == 1
-        assert str(in_the_way) in caplog.text
+        await logged_once(caplog, str(in_the_way))
         assert in_the_way.is_symlink() if link else in_the_way.read_text() == "kept"
         assert not (tmp_path / "nowhere").exists()
         in_the_way.unlink()
@@ -153,11 +141,7 @@ async def test_a_socket_or_lock_that_is_removed_is_made_again_and_reported_once(
         await until(lambda: path.exists() and listens(path))
         assert (await ask(path)).endswith(b"}\n")
         assert (path.stat().st_ino, path.with_suffix(".lock").stat().st_ino) != before
-        for _ in range(10):
-            await asyncio.sleep(0.002)
-        assert [record.getMessage() for record in caplog.records] == [
-            f"{path} or its lock was removed or replaced: made again"
-        ]
+        await logged_once(caplog, f"{path} or its lock was removed or replaced: made again")
     assert not path.exists()
 
 

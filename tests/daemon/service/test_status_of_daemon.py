@@ -14,7 +14,6 @@ from service_bench import Bench
 
 from resonator_daemon.base.host.files import runtime_directory
 from resonator_daemon.daemon.monitoring.status import Status
-from resonator_daemon.daemon.service.config_store import ConfigStore
 from resonator_daemon.daemon.service.daemon import Service
 from resonator_daemon.mqtt.payloads import Condition
 from simulators.faults import parse_faults
@@ -25,17 +24,12 @@ Samples = dict[tuple[str, frozenset[tuple[str, str]]], float]
 
 
 def service_with_metrics(bench: Bench, port: int) -> Service:
-    path = bench.folder / "left.toml"
-    path.write_text(
-        f'name = "hand"\nplate = "quartz16"\nlink = "serial:{bench.port}?baud=4000000"\n'
-        f'[mqtt]\nurl = "{bench.broker_url.replace("mqtt://", "mqtt://robot:secret@")}"\n'
-        f'[metrics]\nlisten = "127.0.0.1:{port}"\n'
-    )
-    return Service(ConfigStore(path, bench.folder / "last-good"))
+    bench.broker_url = bench.broker_url.replace("mqtt://", "mqtt://robot:secret@")
+    return bench.service(tables=("[metrics]", f'listen = "127.0.0.1:{port}"'))
 
 
 async def ask_status() -> Status:
-    path = runtime_directory("left") / "status.sock"
+    path = runtime_directory("board") / "status.sock"
     async with asyncio.timeout(DEADLINE_S):
         while True:
             try:
@@ -74,9 +68,9 @@ async def test_counters_go_on_over_a_pulled_cable_and_the_status_reports_it(benc
                 status = await ask_status()
         samples, counters = await asyncio.to_thread(scrape, port)
         scrapes.append(samples)
-    assert not (runtime_directory("left") / "status.sock").exists()
+    assert not (runtime_directory("board") / "status.sock").exists()
 
-    daemon = frozenset({("daemon", "left")})
+    daemon = frozenset({("daemon", "board")})
     for earlier, later in pairwise(scrapes):
         fell = {key for key in earlier.keys() & later.keys() if key[0] in counters and later[key] < earlier[key]}
         assert not fell
@@ -91,7 +85,7 @@ async def test_counters_go_on_over_a_pulled_cable_and_the_status_reports_it(benc
 
     assert (status.name, status.instance, status.pid, status.version) == (
         "hand",
-        "left",
+        "board",
         os.getpid(),
         version("resonatord"),
     )

@@ -11,7 +11,6 @@ from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
 
 from resonator_daemon.board.config.mqtt import Mqtt
-from resonator_daemon.daemon.service.config_store import ConfigStore
 from resonator_daemon.daemon.service.daemon import Service
 from resonator_daemon.mqtt.codec import decode
 from resonator_daemon.mqtt.requests import request
@@ -26,15 +25,8 @@ OF_THE_RUN = ("daemon_boot_id", "commands", "rates_hz")  # what the link has no 
 
 
 def recording_service(bench: Bench, plate: str, link: str) -> Service:
-    path = bench.folder / "hand.toml"
-    path.write_text(
-        f'name = "hand"\nplate = "{plate}"\nlink = "{link}"\n'
-        f'[mqtt]\nurl = "{bench.broker_url}"\n'
-        f'[recording]\nautostart = true\ndirectory = "{bench.folder}"\nmin_free_mb = 0\n'
-        '[decoding]\nmethod = "off"\n'
-        '[commands]\nallow = ["tare", "set_window"]\n'
-    )
-    return Service(ConfigStore(path, bench.folder / "last-good"))
+    recording = ("[recording]", "autostart = true", f'directory = "{bench.folder}"', "min_free_mb = 0")
+    return bench.service(plate, link, decoding='method = "off"', allow=("tare", "set_window"), tables=recording)
 
 
 def replayed(path: Path) -> dict[str, list[dict[str, Any]]]:
