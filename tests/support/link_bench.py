@@ -287,18 +287,7 @@ def bench(kind: str, directory: Path) -> Iterator[Bench]:
     with ExitStack() as ending:
         ending.callback(board.close)
         if isinstance(board.link, UsbLink):
-            host = UsbHost(board.link.environment)
-            ending.callback(host.kill)
+            host = ending.enter_context(usb_host(board.link))
             yield Bench(RemoteHost(host, board.link.address), board)
-            host.close()
         else:
             yield Bench(LocalHost(board.link.address, board), board)
-
-
-@contextmanager
-def usb_board() -> Iterator[BoardEnd[UsbLink]]:
-    board = BoardEnd(lambda begin: UsbLink(IDENTITY.serial_number, begin))
-    try:
-        yield board
-    finally:
-        board.close()

@@ -1,6 +1,7 @@
-"""A file system of a few kilobytes, to be filled up."""
+"""Little room for files: a file system of a few kilobytes, and a limit of the process."""
 
 import os
+import resource
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -37,3 +38,14 @@ def small_disk(folder: Path, size_bytes: int) -> Iterator[tuple[Path, Callable[[
         yield disk, fill, lambda: filler.unlink(missing_ok=True)
     finally:
         subprocess.run([shutil.which("umount") or "/bin/umount", "-l", str(disk)], check=True)
+
+
+@contextmanager
+def file_size_limit(size_bytes: int) -> Iterator[None]:
+    """Limit the files that this process writes; beyond, a write fails with EFBIG."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

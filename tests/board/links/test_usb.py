@@ -2,9 +2,10 @@
 
 import os
 from collections.abc import Iterator
+from contextlib import closing
 
 import pytest
-from link_bench import LINK, BoardEnd, HostError, UsbHost, usb_board, usb_host
+from link_bench import LINK, SERIAL_NUMBER, BoardEnd, HostError, UsbHost, usb_host
 
 from resonator_daemon.board.links import usb_link
 from resonator_daemon.board.links.carriers.usb import UsbTarget
@@ -53,7 +54,7 @@ def held():
 
 @pytest.fixture
 def board() -> Iterator[BoardEnd[UsbLink]]:
-    with usb_board() as board:
+    with closing(BoardEnd(lambda begin: UsbLink(SERIAL_NUMBER, begin))) as board:
         yield board
 
 

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import resource
 import threading
 import time
 from pathlib import Path
@@ -12,6 +11,8 @@ import pytest
 from mcap.writer import Writer
 from plates import with_counter
 from recording_bench import ONE_BATCH, PLATE, at, read, record
+from small_disk import file_size_limit
+from wire_host import wait_for
 
 from resonator_daemon.base.plate import load_plate
 from resonator_daemon.base.reasons import Condition, Reason, ReasonCode
@@ -65,21 +66,16 @@ def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(path: Path) ->
 
 
 def test_a_disk_without_room_ends_the_recording_and_not_the_reader(path: Path) -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     random = Random(1)
     deadline = time.monotonic() + DEADLINE_S
     put = 0
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, hard))
-    try:
-        with Recorder(path, Origin(PLATE, "tcp://board:1")) as recorder:
-            while recorder.failure is None:
-                assert time.monotonic() < deadline
-                recorder.put(wire.Received(at(put), random.randbytes(100_000)))
-                put += 1
-                threading.Event().wait(0.005)
-            recorder.put(wire.Closed(at(put)))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with file_size_limit(2_000_000), Recorder(path, Origin(PLATE, "tcp://board:1")) as recorder:
+        while recorder.failure is None:
+            assert time.monotonic() < deadline
+            recorder.put(wire.Received(at(put), random.randbytes(100_000)))
+            put += 1
+            threading.Event().wait(0.005)
+        recorder.put(wire.Closed(at(put)))
     assert recorder.failure.code == "write_failed"
     events, damage = read(path)
     assert damage == "cut off"
@@ -109,12 +105,9 @@ def test_whole_chunks_count_as_written_where_the_end_fails(path: Path, monkeypat
 
     monkeypatch.setattr(recording_writer.Writer, "finish", full)
     written: list[wire.WireEvent] = [wire.Opened(at(0)), wire.Received(at(1), b"x"), wire.Closed(at(2))]
-    deadline = time.monotonic() + DEADLINE_S
     with Recorder(path, Origin(PLATE, "tcp://board:1"), times=RecorderTimes(flush_s=3600.0)) as recorder:
         recorder.put(written[0])
-        while not recorder.written.events:  # flushed once
-            assert time.monotonic() < deadline
-            threading.Event().wait(0.01)
+        wait_for(lambda: recorder.written.events > 0)  # flushed once
         for event in written[1:]:
             recorder.put(event)
     assert recorder.failure.code == "disk_full"

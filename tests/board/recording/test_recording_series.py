@@ -2,17 +2,15 @@
 
 import logging
 import os
-import resource
 import shutil
-import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 from random import Random
 from types import SimpleNamespace
 
 import pytest
 from recording_bench import FLUSHING, NO_PAUSE, ONE_BATCH, PLATE, at, made, read, snapshot
+from small_disk import file_size_limit
+from wire_host import wait_for
 
 from resonator_daemon.board.recording import file_series as recording_budget
 from resonator_daemon.board.recording import recorder as recording
@@ -23,7 +21,6 @@ from resonator_daemon.board.recording.writer import Published
 from resonator_daemon.board.session.clock import HostTime
 from resonator_daemon.board.session.link_events import Opened, Received, SnapshotTaken, TimersRun, WireEvent
 
-DEADLINE_S = 30.0
 LEFT = Origin(PLATE, "tcp://board:1", name="left")
 SCHEMA = {"title": "Count", "type": "object", "properties": {"count": {"type": "integer"}}}
 
@@ -31,13 +28,6 @@ SCHEMA = {"title": "Count", "type": "object", "properties": {"count": {"type": "
 @pytest.fixture(autouse=True)
 def _begins_before_its_events(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording, "read_host_time", lambda: at(-1000))
-
-
-def wait_until(done: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not done():
-        assert time.monotonic() < deadline
-        threading.Event().wait(0.01)
 
 
 def contents(directory: Path) -> list[list[WireEvent]]:
@@ -91,10 +81,10 @@ def test_a_recorder_keeps_the_budget_while_it_writes(tmp_path: Path) -> None:
     old = made(tmp_path, 0, size_bytes=50_000)
     with Recorder(Series(tmp_path, "left", max_total_bytes=60_000), LEFT, times=FLUSHING) as recorder:
         recorder.put(Received(at(0), b"x"))
-        wait_until(lambda: recorder.written.events == 1)
+        wait_for(lambda: recorder.written.events == 1)
         assert old.exists()
         recorder.put(Received(at(1), Random(1).randbytes(50_000)))
-        wait_until(lambda: recorder.counts.files_removed == 1)
+        wait_for(lambda: recorder.counts.files_removed == 1)
     assert not old.exists()
 
 
@@ -108,22 +98,22 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
     series = Series(tmp_path, "left", min_free_bytes=100, resumes=resumes)
     with Recorder(series, LEFT, log_line=lambda *line: said.append(line), times=FLUSHING) as recorder:
         recorder.put(Opened(at(0)))
-        wait_until(lambda: recorder.written.events == 1)
+        wait_for(lambda: recorder.written.events == 1)
         free_bytes.append(99)
-        wait_until(lambda: recorder.failure is not None)
+        wait_for(lambda: recorder.failure is not None)
         assert recorder.failure.code == "disk_full"
         assert contents(tmp_path) == [[Opened(at(0))]]  # and it has its end
         free_bytes.append(109)  # not enough to begin anew
         for ms in (1, 2):
             recorder.put(snapshot(at(ms)))
             recorder.put(Received(at(ms), b"x"))
-        wait_until(lambda: recorder.counts.events_missing == 2)
+        wait_for(lambda: recorder.counts.events_missing == 2)
         assert recorder.failure is not None
         free_bytes.append(200)
         recorder.put(Received(at(3), b"x"))
         recorder.put(snapshot(at(4)))
         recorder.put(Received(at(4), b"y"))
-        wait_until(lambda: recorder.written.events + recorder.counts.events_missing == (6 if resumes else 5))
+        wait_for(lambda: recorder.written.events + recorder.counts.events_missing == (6 if resumes else 5))
     if resumes:
         assert recorder.failure is None
         assert contents(tmp_path)[1:] == [[snapshot(at(4)), Received(at(4), b"y")]]
@@ -138,38 +128,36 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
 def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path) -> None:
     with Recorder(Series(tmp_path, "left", resumes=True), LEFT, times=NO_PAUSE) as recorder:
         recorder.put(Opened(at(0)))
-        wait_until(lambda: recorder.written.events == 1)
+        wait_for(lambda: recorder.written.events == 1)
         opened = {os.path.realpath(file): int(file.name) for file in Path("/proc/self/fd").iterdir()}
         os.close(opened[str(recorder.path)])  # as a disk that was pulled out
         shutil.rmtree(tmp_path)
         recorder.put(Received(at(1), Random(1).randbytes(600_000)))
-        wait_until(lambda: recorder.failure is not None)
+        wait_for(lambda: recorder.failure is not None)
         recorder.put(snapshot(at(2)))
-        wait_until(lambda: recorder.failure is None)
+        wait_for(lambda: recorder.failure is None)
     assert contents(tmp_path) == [[snapshot(at(2))]]
 
 
 @pytest.mark.parametrize("needs_frame", [False, True])
 def test_an_attempt_without_an_event_or_frame_leaves_no_file(tmp_path: Path, *, needs_frame: bool) -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))  # room for its beginning
     said: list[int] = []
     series = Series(tmp_path, "left", resumes=True)
-    try:
-        with Recorder(
+    with (
+        file_size_limit(10_000),  # room for its beginning
+        Recorder(
             series, LEFT, log_line=lambda level, _: said.append(level), times=NO_PAUSE, needs_frame=needs_frame
-        ) as recorder:
-            for ms in range(3):
-                recorder.put(snapshot(at(ms)))
-                if needs_frame:
-                    wait_until(lambda: recorder.written.events == 1)
-                recorder.put(Received(at(ms), Random(ms).randbytes(600_000)))
-                wait_until(lambda ms=ms: recorder.counts.events_missing == ms + 1)  # type: ignore[misc]
-                assert list(tmp_path.iterdir()) == []
-                assert (recorder.counts.files, recorder.all_bytes, recorder.path) == (0, 0, tmp_path)
-                assert (recorder.written.events, recorder.written.frames) == (0, 0)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        ) as recorder,
+    ):
+        for ms in range(3):
+            recorder.put(snapshot(at(ms)))
+            if needs_frame:
+                wait_for(lambda: recorder.written.events == 1)
+            recorder.put(Received(at(ms), Random(ms).randbytes(600_000)))
+            wait_for(lambda ms=ms: recorder.counts.events_missing == ms + 1)  # type: ignore[misc]
+            assert list(tmp_path.iterdir()) == []
+            assert (recorder.counts.files, recorder.all_bytes, recorder.path) == (0, 0, tmp_path)
+            assert (recorder.written.events, recorder.written.frames) == (0, 0)
     assert said == [logging.WARNING]
 
 
@@ -179,7 +167,7 @@ def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_pa
     directory = tmp_path / "recordings"
     with Recorder(Series(directory, "left", resumes=True), LEFT, log_line=lambda *line: said.append(line)) as recorder:
         recorder.put(snapshot(at(0)))
-        wait_until(lambda: recorder.written.events == 1)
+        wait_for(lambda: recorder.written.events == 1)
         first = recorder.path
         if how == "removed":
             shutil.rmtree(directory)
@@ -188,9 +176,9 @@ def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_pa
         if how == "replaced":
             directory.mkdir()
             first.write_bytes(b"theirs")
-        wait_until(lambda: recorder.failure is not None and recorder.failure.code == "file_gone")
+        wait_for(lambda: recorder.failure is not None and recorder.failure.code == "file_gone")
         recorder.put(snapshot(at(1)))
-        wait_until(lambda: recorder.failure is None)
+        wait_for(lambda: recorder.failure is None)
         second = recorder.path
         recorder.put(Opened(at(2)))
     assert read(second) == ([snapshot(at(1)), Opened(at(2))], None)

@@ -41,13 +41,19 @@ def rapid(pacing: PingPacing) -> bool:
     return pacing.next_ns(0) < 100 * MS
 
 
-def test_above_100_us_it_is_rapid() -> None:
+@pytest.mark.parametrize(
+    "steps",
+    [
+        [(1, 101_000.0, True), (2, 99_000.0, False)],
+        [(25, 2e6, True), (31, 2e6, True), (62, 2e6, False)],  # what a link could long ago is forgotten
+    ],
+)
+def test_above_100_us_it_is_rapid(steps: list[tuple[int, float, bool]]) -> None:
     pacing = calm()
     assert not rapid(pacing)
-    pacing.update(S, 101_000.0, 1000)
-    assert rapid(pacing)
-    pacing.update(2 * S, 99_000.0, 1000)
-    assert not rapid(pacing)
+    for at_s, uncertainty_ns, expected in steps:
+        pacing.update(at_s * S, uncertainty_ns, 1000)
+        assert rapid(pacing) is expected
 
 
 def test_what_a_link_cannot_do_is_not_asked_of_it() -> None:
@@ -57,13 +63,3 @@ def test_what_a_link_cannot_do_is_not_asked_of_it() -> None:
         assert rapid(pacing) == (number < 800)
     pacing.update(11 * S, 2.5e6, 1000)  # but what it could a moment ago
     assert rapid(pacing)
-
-
-def test_what_a_link_could_long_ago_is_forgotten() -> None:
-    pacing = calm()
-    pacing.update(25 * S, 2e6, 1000)
-    assert rapid(pacing)
-    pacing.update(31 * S, 2e6, 1000)
-    assert rapid(pacing)
-    pacing.update(62 * S, 2e6, 1000)
-    assert not rapid(pacing)
