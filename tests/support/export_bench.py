@@ -1,17 +1,20 @@
 """Recordings of the corpus, played once for all tests, and their moments handed to what writes files."""
 
 import base64
+import signal
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
 
 from resonator_daemon.board.config import Config
 from resonator_daemon.mqtt.codec import decoded
 from resonator_daemon.tools.export import format_class
 from resonator_daemon.tools.export.output import Output, Recorded
-from resonator_daemon.tools.replay.recorded_pipeline import Moment, open_replay
+from resonator_daemon.tools.replay.recorded_pipeline import Moment, RecordingReplay, open_replay
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 METADATA = {"plate": "quartz16", "source_sha256": "00ff"}
@@ -38,6 +41,21 @@ def recording(case: str) -> Path:
 def played(case: str) -> Played:
     with open_replay(recording(case)) as replaying:
         return Played(replaying.config, list(replaying.moments()))
+
+
+def interrupt_at(
+    number: int, patch: pytest.MonkeyPatch, stop: signal.Signals, when: Callable[[], bool] = lambda: True
+) -> None:
+    """Raise the signal before this moment of each recording that is replayed, where the condition holds."""
+    whole = RecordingReplay.moments
+
+    def interrupted(replaying: RecordingReplay) -> Any:
+        for index, moment in enumerate(whole(replaying)):
+            if index == number and when():
+                signal.raise_signal(stop)
+            yield moment
+
+    patch.setattr(RecordingReplay, "moments", interrupted)
 
 
 def write(form: str, path: Path, case: str, *more: Moment, times: int = 1) -> Output:

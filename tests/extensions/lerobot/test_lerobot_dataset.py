@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from export_bench import played, recording
+from export_bench import interrupt_at, played, recording
 
 from resonator_daemon.board.config.values import plate_text
 from resonator_daemon.commands import main
@@ -90,17 +90,9 @@ def test_an_interrupted_export_is_completed_by_repeating_it(
 ) -> None:
     both = [recording("touches"), recording("lost-bytes")]  # the first has the mark "half time"
     assert dataset(tmp_path / "whole", *both) == 0
-    whole = RecordingReplay.moments
-
-    def interrupted(replaying: RecordingReplay) -> Any:
-        for number, moment in enumerate(whole(replaying)):
-            if number == 100 and (tmp_path / "set/data/chunk-000/file-000.parquet").exists():
-                signal.raise_signal(signal.SIGINT)
-            yield moment
-
     capsys.readouterr()
     with monkeypatch.context() as patched:
-        patched.setattr(RecordingReplay, "moments", interrupted)
+        interrupt_at(100, patched, signal.SIGINT, (tmp_path / "set/data/chunk-000/file-000.parquet").exists)
         assert dataset(tmp_path / "set", *both) == 1
     assert "complete recordings are kept; repeat the command" in capsys.readouterr().err
     assert json.loads((tmp_path / "set/meta/info.json").read_text())["total_episodes"] == 1

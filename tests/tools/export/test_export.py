@@ -1,20 +1,18 @@
 """`resonatord export` as a user meets it: files, memory, one line where something is wrong, and the exit code."""
 
 import json
-import resource
 import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
-from export_bench import played, recording
+from export_bench import interrupt_at, played, recording
+from small_disk import file_size_limit
 
 from resonator_daemon.commands import main
-from resonator_daemon.tools.replay.recorded_pipeline import RecordingReplay
 
 FORMATS = ("parquet", "csv", "mcap", "ros2")
 SIGNALS = dict(zip(FORMATS, [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTERM], strict=True))
@@ -120,12 +118,8 @@ def test_nothing_is_overwritten(form: str, tmp_path: Path, capsys: pytest.Captur
 def test_a_disk_that_is_full_keeps_nothing(
     form: str, room_bytes: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room_bytes, hard))
-    try:
+    with file_size_limit(room_bytes):
         code = export(recording("touches"), *output(tmp_path, form), "--json")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     printed = capsys.readouterr()
     assert code == 1
     assert "cannot be written: File too large; what was written of it is removed\n" in printed.err
@@ -137,15 +131,7 @@ def test_a_disk_that_is_full_keeps_nothing(
 def test_an_interrupt_leaves_nothing(
     form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    whole = RecordingReplay.moments
-
-    def interrupted(replaying: RecordingReplay) -> Any:
-        for number, moment in enumerate(whole(replaying)):
-            if number == 100:
-                signal.raise_signal(SIGNALS[form])
-            yield moment
-
-    monkeypatch.setattr(RecordingReplay, "moments", interrupted)
+    interrupt_at(100, monkeypatch, SIGNALS[form])
     assert export(recording("touches"), *output(tmp_path, form)) == 1
     assert capsys.readouterr().err == "resonatord: interrupted: what was written is removed\n"
     assert list(tmp_path.iterdir()) == []
