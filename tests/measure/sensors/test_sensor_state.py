@@ -74,24 +74,19 @@ def test_a_calibration_that_expires_is_reported_once_and_hides_nothing_worse(sen
     assert sensor.said[-1][:2] == (Condition.ONLINE, "sites are read")
 
 
-@pytest.mark.parametrize("common_mode", [UNKNOWN, (math.nan,)])
-def test_a_sensor_that_learns_is_starting_with_the_readings_reason(common_mode: tuple[float, ...]) -> None:
-    sensor = Sensor()
-    sensor.read(3, "settling", "the common mode is being estimated", common_mode)
-    assert sensor.said == [(Condition.STARTING, "the common mode is being estimated", T0_NS + 3 * MS)]
-
-
 @pytest.mark.parametrize(
-    ("status", "condition"),
+    ("status", "common_mode", "condition"),
     [
-        ("pressed_at_start", Condition.PRESSED_AT_START),
-        ("pilot_lost", Condition.STALLED),
-        ("no_signal", Condition.STALLED),
+        ("settling", UNKNOWN, Condition.STARTING),
+        ("settling", (math.nan,), Condition.STARTING),
+        ("pressed_at_start", UNKNOWN, Condition.PRESSED_AT_START),
+        ("pilot_lost", UNKNOWN, Condition.STALLED),
+        ("no_signal", UNKNOWN, Condition.STALLED),
     ],
 )
-def test_trouble_before_the_first_judgement_counts_at_once(status: str, condition: Condition) -> None:
+def test_the_first_judgement_counts_at_once(status: str, common_mode: tuple[float, ...], condition: Condition) -> None:
     sensor = Sensor()
-    sensor.read(7, status, "why", UNKNOWN)
+    sensor.read(7, status, "why", common_mode)
     assert sensor.said == [(condition, "why", T0_NS + 7 * MS)]
 
 
