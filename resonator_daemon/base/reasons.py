@@ -164,6 +164,7 @@ class ReasonCode(Word):
     FRICTION_CONTRADICTED = "friction_contradicted", "the signals contradict the friction coefficient; it is not used"
     PHYSICS_CONTRADICTED = "physics_contradicted", "the signals contradict contact physics; the linear map is shown"
     SLIPS_TOO_LITTLE = "slips_too_little", "the contact slips too little to show; shear it more"
+    NO_SLIP_MARGIN = "no_slip_margin", "a flat punch sticks as a whole until it slides"
     FRICTION_UNKNOWN = "friction_unknown", "the friction coefficient is known to worse than a quarter"
     NOT_FITTED = "not_fitted", "the contact was not fitted"
     FIT_UNDETERMINED = "fit_undetermined", "the signals do not determine the contact"

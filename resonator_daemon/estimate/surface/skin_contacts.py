@@ -132,14 +132,15 @@ class SkinContact:
     peak_newton: float = 0.0  # of the normal force so far
     status: Literal["ok", "contradicted"] = "ok"
     reason: ReasonCode | None = None
-    shape: ShapeFit | None = None  # of an object that is no ball: `patch` and `slip` have its numbers
+    shape_fit: ShapeFit | None = None  # of a punch or an ellipse, whose numbers `patch` and `slip` then have
 
     @property
-    def shape_name(self) -> Literal["ball", "punch", "ellipse"] | None:
+    def shape(self) -> Literal["ball", "punch", "ellipse"] | None:
         """The object whose model the signals do not contradict; None while none is known."""
-        if self.shape is not None:
-            return self.shape.shape
-        return "ball" if self.status == "ok" and self.slip is not None and math.isfinite(self.slip.radius_m) else None
+        if self.shape_fit is not None:
+            return self.shape_fit.shape
+        fits_ball = self.status == "ok" and self.fit is not None and self.fit.p >= P_LEAST
+        return "ball" if fits_ball and self.slip is not None and math.isfinite(self.slip.radius_m) else None
 
     @property
     def area_m2(self) -> float:
@@ -167,8 +168,8 @@ class _Track:
     last: SkinContact
     frames: int = 0  # in a row in which it was significant
     announced: bool = False
-    fits: deque[FitQuality] = field(default_factory=lambda: deque(maxlen=FRAMES))  # of a ball, or since it is no ball
-    shape: ShapeFit | None = None  # of the last frame, if it is no ball
+    fits: deque[FitQuality] = field(default_factory=lambda: deque(maxlen=FRAMES))  # of the model that is followed
+    shape_fit: ShapeFit | None = None  # punch or ellipse that is followed
 
 
 class SkinContacts:
@@ -217,7 +218,7 @@ class SkinContacts:
         """End all contacts for this reason: what follows has nothing in common with what was."""
         ended = tuple(SkinEvent("release", track.last, reason) for track in self._tracks.values() if track.announced)
         self.tracker.clear()
-        self._tracks = {}
+        self._tracks, self._contradicted = {}, []
         self.offset, self._all_offset = np.zeros((2, 3))
         self._watch = SlipWatch(self._model, self._friction, self._skin, self._noise_std)
         return ended
@@ -236,7 +237,7 @@ class SkinContacts:
         """Return the contacts and events of a frame (3, n) and the patches that were found in it."""
         found = self.tracker.update(patches)
         for missing in self._tracks.keys() - found.keys():
-            self._tracks[missing].frames, self._tracks[missing].shape = 0, None
+            self._tracks[missing].frames, self._tracks[missing].shape_fit = 0, None
         real = {i: patch for i, patch in found.items() if self._is_real(i, patch)}
         left = None if self._tracks else self._mean_at_rest(signals)
         noise_std = self._noise_of(signals)
@@ -266,11 +267,15 @@ class SkinContacts:
         return np.nanmean(scores, axis=1) if np.isfinite(scores).any(axis=1).all() else None
 
     def _followed_shape(self, contacts: Collection[int], signals: Floats) -> ShapeFit | None:
-        """Return the fit of a single contact that is no ball; None if there is no such contact, or no fit of it."""
-        if len(contacts) != 1 or (track := self._tracks[next(iter(contacts))]).shape is None:
+        """Fit the followed shape of a single contact to this frame; None if none is followed, or the fit fails."""
+        if len(contacts) != 1:
+            for track in self._tracks.values():
+                track.shape_fit = None
             return None
-        track.shape = self._shapes.follow(track.shape, signals, self._frame_noise_std)
-        return track.shape
+        track = self._tracks[next(iter(contacts))]
+        if track.shape_fit is not None:
+            track.shape_fit = self._shapes.follow(track.shape_fit, signals, self._frame_noise_std)
+        return track.shape_fit
 
     def _follow_offset(
         self, signals: Floats, fits: Collection[PartialSlip], found: Offset | None, left: Floats | None
@@ -318,7 +323,7 @@ class SkinContacts:
         curvature = self._curvature_m(slip) if shape is None else (math.nan, math.nan)
         found = SkinContact(contact, patch, slip, fit, Systematic.of(slip), *curvature, peak_newton)
         if contradicts(track.fits, self._repeated_share):
-            track.shape = None
+            track.shape_fit = None
             return replace(found, status="contradicted", reason=ReasonCode.FIT_CONTRADICTED)
         if shape is None:
             return found
@@ -329,9 +334,11 @@ class SkinContacts:
             centroid_m=slip.centre_m,
             centroid_std_m=slip.centre_std_m,
         )
-        return replace(found, patch=patch, shape=shape)
+        peak_newton = max(peak_newton, float(slip.force_newton[2]))
+        return replace(found, patch=patch, shape_fit=shape, peak_newton=peak_newton)
 
     def _quality(self, slip: PartialSlip, offset: Offset | None) -> FitQuality:
+        """Return the goodness of a fit, without the chi-square that an offset explains."""
         decrease = offset.chi2_decrease if offset is not None else 0.0
         chi2 = slip.chi2 - decrease / slip.degrees_of_freedom  # systematic errors cover the offset
         return self._rest.quality(chi2, slip.degrees_of_freedom, self._noise_share)
@@ -344,8 +351,12 @@ class SkinContacts:
         """
         for track, signals, patch in self._contradicted:
             shape = self._shapes.fit(signals, self._frame_noise_std, patch, pause)
-            if shape is not None and self._quality(shape.slip, shape.offset).p >= P_LEAST:
-                track.shape = shape
+            is_current = any(track is other for other, _, _ in self._contradicted)  # frames may have been decoded
+            if shape is None or not is_current:
+                continue
+            quality = self._quality(shape.slip, shape.offset)
+            if not contradicts([quality] * FRAMES, self._repeated_share):
+                track.shape_fit = shape
                 track.fits.clear()
 
     def _curvature_m(self, slip: PartialSlip) -> tuple[float, float]:

@@ -160,7 +160,7 @@ class SurfaceMessages:
             "moment_std_newton_m": _rounded_std(patch.moment_std_newton_m),
             **_slip(contact),
             "fit": _fit(contact),
-            "shape": contact.shape_name,
+            "shape": contact.shape,
             "status": Status(contact.status),
             "reason_code": contact.reason,
         }
@@ -173,7 +173,7 @@ class SurfaceMessages:
             area_m2=rounded(contact.area_m2, contact.area_std_m2),
             area_std_m2=rounded_std(contact.area_std_m2),
             at_border=patch.at_border,
-            **_half_axes(contact.shape),
+            **_half_axes(contact.shape_fit),
             radius_of_curvature_m=rounded(contact.radius_of_curvature_m, contact.radius_of_curvature_std_m),
             radius_of_curvature_std_m=rounded_std(contact.radius_of_curvature_std_m),
             stick_ratio=rounded(*stick),
@@ -194,12 +194,14 @@ def _fit(contact: "SkinContact") -> FitQuality | None:
 def _half_axes(shape: "ShapeFit | None") -> dict[str, Any]:
     if shape is None:
         return {}
-    return {
-        "long_half_axis_m": _rounded(shape.long_half_axis_m, shape.long_half_axis_std_m),
-        "long_half_axis_std_m": _rounded_std(shape.long_half_axis_std_m),
+    fields: dict[str, Any] = {
         "short_half_axis_m": rounded(shape.short_half_axis_m, shape.short_half_axis_std_m),
         "short_half_axis_std_m": rounded_std(shape.short_half_axis_std_m),
     }
+    if shape.shape == "ellipse":
+        fields["long_half_axis_m"] = _rounded(shape.long_half_axis_m, shape.long_half_axis_std_m)
+        fields["long_half_axis_std_m"] = _rounded_std(shape.long_half_axis_std_m)
+    return fields
 
 
 def _slip(contact: "SkinContact") -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Objects that are no balls: named where the signals tell them, and contradicted where they fit none."""
+"""Contacts of a punch, an ellipse and other objects: named if a model fits, else contradicted."""
 
 from collections.abc import Callable
 
@@ -72,19 +72,23 @@ def noisy_frame(clean: Floats, rng: np.random.Generator) -> Floats:
     return np.asarray(clean + NOISE_20_DB * rng.standard_normal(clean.shape))
 
 
-@pytest.mark.parametrize("make", [punch, ellipse])
+@pytest.mark.parametrize(("name", "make"), [("punch", punch), ("ellipse", ellipse)])
 def test_a_punch_and_an_ellipse_are_named_and_their_numbers_are_within_their_errors(
-    decoder: SkinDecoder, make: Callable[[], Floats]
+    decoder: SkinDecoder, name: str, make: Callable[[], Floats]
 ) -> None:
     contacts = pressed(decoder, [make()] * 40)
     before, after = contacts[4], contacts[10:]
-    assert (before.status, before.reason, before.shape_name) == ("contradicted", "fit_contradicted", None)
-    assert {(each.status, each.reason, each.shape_name) for each in after} == {("ok", None, make.__name__)}
-    scores, short_m, area_m2 = [], *((2e-3, np.pi * 2e-3**2) if make is punch else (SHORT_M, np.pi * LONG_M * SHORT_M))
+    assert (before.status, before.reason, before.shape) == ("contradicted", "fit_contradicted", None)
+    assert {(each.status, each.reason, each.shape) for each in after} == {("ok", None, name)}
+    scores, stds, short_m, area_m2 = (
+        [],
+        [],
+        *((2e-3, np.pi * 2e-3**2) if make is punch else (SHORT_M, np.pi * LONG_M * SHORT_M)),
+    )
     for each in after:
-        assert each.shape is not None
+        assert each.shape_fit is not None
         assert each.slip is not None
-        patch, shape = each.patch, each.shape
+        patch, shape = each.patch, each.shape_fit
         error = [
             *(patch.force_newton - FORCE_NEWTON),
             *(patch.centroid_m - CENTRE_M),
@@ -96,14 +100,17 @@ def test_a_punch_and_an_ellipse_are_named_and_their_numbers_are_within_their_err
             std += [each.slip.slip_margin_std, *shape.long_half_axis_std_m]
         else:
             assert np.isnan([each.slip.slip_margin, *shape.long_half_axis_m]).all()
+            assert each.slip.reason is not None
+            assert each.slip.reason.code == "no_slip_margin"
             assert each.area_std_m2 == pytest.approx(2.0 * np.pi * 2e-3 * shape.short_half_axis_std_m, rel=0.01)
         scores.append(np.divide(error, std))
+        stds.append(std[:6])
         assert each.area_m2 == pytest.approx(area_m2, abs=5.0 * each.area_std_m2)
         assert (each.systematic.force_newton > 0.0).all()  # of the depth
     assert (np.abs(scores) < 4.0).all()
     assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
-    assert max(std[:3]) < 2.8e-3  # newtons
-    assert std[5] < 1.2e-5  # metres
+    assert np.max(stds, axis=0)[:3].max() < 2.8e-3  # newtons
+    assert np.max(stds, axis=0)[5] < 1.2e-5  # metres
 
 
 @pytest.mark.parametrize("make", [punch, ellipse])
@@ -120,28 +127,28 @@ def test_systematic_errors_are_what_another_depth_changes(decoder: SkinDecoder, 
 def test_an_ellipse_is_followed_while_it_moves_and_grows(decoder: SkinDecoder) -> None:
     frames = [ellipse()] * 12 + [ellipse(DEPTH_M, 1.0 + 0.01 * step, 3e-5 * step) for step in range(12)]
     last = pressed(decoder, frames)[-1]
-    assert (last.status, last.shape_name) == ("ok", "ellipse")
-    assert last.shape is not None
-    assert last.shape.short_half_axis_m == pytest.approx(1.11 * SHORT_M, abs=4e-5)
-    assert last.shape.long_half_axis_m == pytest.approx(1.11 * LONG_M * ALONG, abs=6e-5)
+    assert (last.status, last.shape) == ("ok", "ellipse")
+    assert last.shape_fit is not None
+    assert last.shape_fit.short_half_axis_m == pytest.approx(1.11 * SHORT_M, abs=4e-5)
+    assert last.shape_fit.long_half_axis_m == pytest.approx(1.11 * LONG_M * ALONG, abs=6e-5)
     assert last.patch.centroid_m == pytest.approx(CENTRE_M + 3.3e-4, abs=2e-5)
 
 
 @pytest.mark.parametrize(
     ("later", "found"), [(balls(2e-3, 0.5), ("contradicted", None)), (BALL, ("ok", "ball"))], ids=["two", "ball"]
 )
-def test_a_shape_is_given_up_where_it_no_longer_fits(
+def test_a_shape_is_discarded_when_it_no_longer_fits(
     decoder: SkinDecoder, later: Floats, found: tuple[str, str | None]
 ) -> None:
     contacts = pressed(decoder, [punch()] * 14 + [later] * 16)
-    assert contacts[10].shape_name == "punch"
-    assert (contacts[-1].status, contacts[-1].shape_name) == found
+    assert contacts[10].shape == "punch"
+    assert (contacts[-1].status, contacts[-1].shape) == found
 
 
 def test_a_common_offset_is_followed_under_a_shape(decoder: SkinDecoder) -> None:
     clean = ellipse()
     last = pressed(decoder, [clean + common * NOISE_20_DB for common in np.linspace(0.0, 0.6, 40)])[-1]
-    assert last.shape_name == "ellipse"
+    assert last.shape == "ellipse"
     assert last.patch.force_newton == pytest.approx(FORCE_NEWTON, abs=1e-2)
     assert decoder.contacts.offset == pytest.approx(np.full(3, 0.55), abs=0.15)
 
@@ -160,18 +167,40 @@ def test_signals_of_an_ellipse_change_with_depth_as_by_dimensional_analysis() ->
 @pytest.mark.parametrize(("apart_m", "share"), [(1.6e-3, 1.0), (2.4e-3, 0.1), (2.4e-3, 1.0)])
 def test_two_objects_that_merge_remain_contradicted(decoder: SkinDecoder, apart_m: float, share: float) -> None:
     contacts = pressed(decoder, [balls(apart_m, share)] * 14)[6:]
-    assert {(each.status, each.shape_name) for each in contacts} == {("contradicted", None)}
+    assert {(each.status, each.shape) for each in contacts} == {("contradicted", None)}
 
 
-def test_a_wrong_depth_is_no_other_shape(decoder: SkinDecoder) -> None:
-    clean = contact_signals(SITES_M, FORCE_NEWTON, CENTRE_M, 2.3e-3, depth_m=1.2 * DEPTH_M)
-    assert {(each.status, each.shape_name) for each in pressed(decoder, [clean] * 14)[6:]} == {("contradicted", None)}
+@pytest.mark.parametrize("depth", [1.06, 1.07, 1.2])
+def test_a_wrong_depth_is_no_other_shape(decoder: SkinDecoder, depth: float) -> None:
+    clean = contact_signals(SITES_M, FORCE_NEWTON, CENTRE_M, 2.3e-3, depth_m=depth * DEPTH_M)
+    contacts = [each for seed in range(6) for each in pressed(decoder, [clean] * 20, seed)[6:]]
+    assert {(each.status, each.shape) for each in contacts} <= {("contradicted", None), ("ok", "ball")}
+    assert sum(each.status == "ok" for each in contacts) <= 6  # of 84
 
 
-def test_a_ball_is_always_a_ball(decoder: SkinDecoder) -> None:
-    rng, frames = np.random.default_rng(5), []
+def test_a_shape_that_was_fitted_while_its_contact_ended_is_not_followed(decoder: SkinDecoder) -> None:
+    assert pressed(decoder, [punch()] * 8, check=99)[-1].status == "contradicted"
+    meanwhile = iter([np.zeros_like(BALL)])
+
+    def pause() -> None:
+        for frame in meanwhile:
+            decoder.decode(frame, NOISE_20_DB)
+
+    decoder.contacts.fit_shapes(pause)
+    after = [contact for _ in range(3) for contact in decoder.decode(punch(), NOISE_20_DB).contacts]
+    assert {each.shape for each in after} == {None}
+
+
+def test_a_shape_without_most_of_its_signals_is_not_fitted(decoder: SkinDecoder) -> None:
+    assert pressed(decoder, [punch()] * 14)[-1].shape == "punch"
+    few = np.where(np.random.default_rng(1).random(len(SITES_M)) < 0.2, punch(), np.nan)
+    assert {each.shape for each in decoder.decode(few, NOISE_20_DB).contacts} <= {None}
+
+
+def test_a_moving_ball_is_always_reported_as_ball(decoder: SkinDecoder) -> None:
+    frames = []
     for step in range(300):
         shear = 0.5 * FRICTION * np.sin(step / 40.0)
         frames.append(contact_signals(SITES_M, (shear, 0.1, 1.0), CENTRE_M + 1e-5 * step, 2.3e-3))
-    contacts = pressed(decoder, frames, seed=int(rng.integers(99)), check=150)
-    assert {(each.status, each.shape_name) for each in contacts} == {("ok", "ball")}
+    contacts = pressed(decoder, frames, seed=12, check=150)
+    assert {(each.status, each.shape) for each in contacts} == {("ok", "ball")}

@@ -192,22 +192,23 @@ def test_what_is_not_known_of_a_patch_is_null(skin_reporter: SkinReporter, slip:
     keys = ("slip_margin", "friction_coefficient")
     nothing = {f"{key}{kind}": None for key in keys for kind in ("", "_std", "_systematic")}
     nothing |= {"systematic_newton": [None] * 3, "position_systematic_m": [None] * 2, "status": "ok"}
-    nothing |= {"slip_reason_code": why} | ({} if slip is None else {"shape": "ball"})
+    nothing |= {"slip_reason_code": why}
     (found,) = said["contacts"]
     assert found == {k: v for k, v in CONTACT_LITERAL.items() if k not in ("reason_code", "fit")} | nothing
 
 
-def test_a_named_shape_has_half_axes(skin_reporter: SkinReporter) -> None:
+@pytest.mark.parametrize("shape", ["punch", "ellipse"])
+def test_a_named_shape_has_half_axes(skin_reporter: SkinReporter, shape: str) -> None:
     long = {"long_half_axis_m": np.array([2.5e-3, 1e-3]), "long_half_axis_std_m": np.array([1e-6, 2e-6])}
     short = {"short_half_axis_m": 1.6e-3, "short_half_axis_std_m": 3e-6}
-    fit: Any = SimpleNamespace(shape="ellipse", **long, **short)
+    fit: Any = SimpleNamespace(shape=shape, **long, **short)
     frame = decoded((3, 32, 32), displacement=False)
-    reading = surface(frame, contacts=(skin_contact(shape=fit, status="ok", reason=None),))
+    reading = surface(frame, contacts=(skin_contact(shape_fit=fit, status="ok", reason=None),))
     said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, reading))
     of_ellipse = {"long_half_axis_m": [2.5e-3, 1e-3], "long_half_axis_std_m": [1e-6, 2e-6]}
-    assert said["patches"] == [PATCH_LITERAL | of_ellipse | short]
+    assert said["patches"] == [PATCH_LITERAL | short | (of_ellipse if shape == "ellipse" else {})]
     said = literal(skin_reporter.skin_contacts(MEASURED_OF_SKIN, GATE_MIDDLE, reading))
-    assert [contact["shape"] for contact in said["contacts"]] == ["ellipse"]
+    assert [contact["shape"] for contact in said["contacts"]] == [shape]
 
 
 @pytest.mark.parametrize("status", ["rejected", "no_signal"])

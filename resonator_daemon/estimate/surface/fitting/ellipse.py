@@ -1,4 +1,4 @@
-"""Contact over an ellipse, as of an egg, in partial slip: signals and least squares.
+"""Contact over an ellipse in partial slip: signals and least squares.
 
 Hertz's pressure over an ellipse with the short half-axis a and foci at +- c about its centre is a sum of even pressures
 over discs that touch its rim from inside: the disc about u c, -1 < u < 1, has the radius a sqrt(1 - u^2) and the share
@@ -23,9 +23,9 @@ from resonator_daemon.estimate.surface.fitting.slip_signals import MARGIN, PARAM
 _SIZE = PARAMETERS + 2
 _PLACES, _WEIGHTS = roots_jacobi(10, 1, 1)  # error 0.2 % of the signals where foci are 7 depths apart, 0.01 % at 4
 _NODES = list(zip(_PLACES.tolist(), (0.75 * _WEIGHTS).tolist(), strict=True))
-_MARGINS = 1e-4, 0.99  # beyond which it leaves no trace
+_MARGINS = 1e-4, 0.99  # margins outside do not change the signals
 _MARGIN_PRECISION = 12.0  # of one that the signals do not determine
-_NO_PRESSURE = 1e-9  # of the normal force: discs that carry shear alone
+_NO_PRESSURE = 1e-9  # share of the normal force for discs that carry only shear
 
 
 class EllipseLinearisation(Linearisation):

@@ -1,4 +1,4 @@
-"""Contacts of objects that are no balls: a flat round punch and an ellipse, fitted to a frame and to those after it."""
+"""Fits of a flat round punch and of an ellipse to contacts that contradict a ball."""
 
 import math
 from collections.abc import Callable
@@ -8,6 +8,8 @@ from typing import Final, Literal
 import numpy as np
 
 from resonator_daemon.base.arrays import Floats
+from resonator_daemon.base.reasons import Reason, ReasonCode
+from resonator_daemon.estimate.surface.decoded import KNOWN_LIMIT
 from resonator_daemon.estimate.surface.fitting.contact_fit import Fit
 from resonator_daemon.estimate.surface.fitting.contact_model import DiscModel
 from resonator_daemon.estimate.surface.fitting.ellipse import EllipseProblem
@@ -19,9 +21,11 @@ from resonator_daemon.estimate.surface.patches import Patch
 from resonator_daemon.estimate.surface.skin import Skin
 
 Shape = Literal["punch", "ellipse"]
+_STICKS: Final = Reason(ReasonCode.NO_SLIP_MARGIN, "a flat punch sticks as a whole until it slides")
 _NO_MARGIN: Final = {0: 0.0}  # of a punch, whose shear is spread as its pressure
+_LEAST_FOCUS_M: Final = 1e-12  # a smaller one has no direction
 _EXACT: Final = 1e12  # precision of a margin that is held
-_DIRECTIONS: Final = np.arange(6) * np.pi / 6.0  # of the long half-axis, of which the best serves as start
+_DIRECTIONS: Final = np.arange(6) * np.pi / 6.0  # of the long half-axis that are tried as starts
 _SHORT, _FOCUS, _MARGIN = 0.84, 0.85, 0.5  # of that start: short half-axis and focus over the patch's radius; margin
 
 
@@ -30,7 +34,7 @@ class ShapeFit:
     """One contact in one frame."""
 
     shape: Shape
-    slip: PartialSlip  # `radius_m` is that of a disc of the same area; the margin of a punch is unknown
+    slip: PartialSlip  # `radius_m` is that of a disc of equal area, the covariances are those of the short half-axis
     short_half_axis_m: float
     short_half_axis_std_m: float
     long_half_axis_m: Floats  # x and y >= 0 of an end, (2,); NaN for a punch
@@ -73,9 +77,11 @@ class ShapeFitter:
         return min((fit for fit in (one, other) if fit is not None), key=lambda fit: fit.slip.chi2, default=None)
 
     def follow(self, before: ShapeFit, signals: Floats, noise_std: Floats) -> ShapeFit | None:
-        """Fit a shape to the frame after one that it was fitted to; None where that does not settle."""
+        """Fit a shape to the frame after one that it was fitted to; None if the fit fails."""
         at, margin_std = before.linearisation, math.sqrt(before.slip.covariance[MARGIN, MARGIN])
         frame = Frame(self._flat, signals, noise_std, at.whitening)
+        if frame.count < KNOWN_LIMIT * frame.target.size:
+            return None
         is_punch = before.shape == "punch"
         problem = (
             SlipProblem(self._flat, frame, [None]) if is_punch else EllipseProblem(self._even, frame, lambda: None)
@@ -108,11 +114,14 @@ class ShapeFitter:
         by_short, by_long = np.eye(len(lengths))[0], parameters[lengths] / long_m
         slopes = [by_short, 0.5 * radius_m * (by_short / short_m + by_long / long_m)]
         if focus_m.size:
-            along, distance_m = focus_m / np.linalg.norm(focus_m), float(np.linalg.norm(focus_m))
+            distance_m = max(float(np.linalg.norm(focus_m)), _LEAST_FOCUS_M)
+            along = focus_m / distance_m
             end_m = math.copysign(long_m, focus_m[1]) * along
             turned = long_m / distance_m * (np.eye(2) - np.outer(along, along))
             slopes += list(np.outer(along, by_long) + np.column_stack([np.zeros(2), turned]))
         covariance = np.array(slopes) @ covariance[np.ix_(lengths, lengths)] @ np.array(slopes).T
         short_std_m, radius_std_m, *end_std_m = np.sqrt(covariance.diagonal()).tolist()
         slip = replace(slip, radius_m=radius_m, radius_std_m=radius_std_m)
+        if shape == "punch":
+            slip = replace(slip, reason=_STICKS)
         return ShapeFit(shape, slip, short_m, short_std_m, end_m, np.array(end_std_m or [math.nan] * 2), offset, at)
