@@ -138,12 +138,12 @@ export class PlateModel {
     this.version += 1;
   }
 
-  /** What the emulator applied at a time, between two messages of it; null where nothing is emulated. */
+  /** What the emulator applied at a time, between two messages of it; null before the oldest, and where nothing is emulated. */
   truthAt(time) {
     const { truths } = this;
     const after = truths.findIndex((truth) => truth.time >= time);
     if (after < 0) return truths[truths.length - 1] ?? null;
-    return after ? between(truths[after - 1], truths[after], time) : truths[0];
+    return after ? between(truths[after - 1], truths[after], time) : null;
   }
 
   /** Add the newest contacts to the history. */

@@ -266,8 +266,9 @@ async def test_contacts_show_force_margin_events_and_truth(fake: FakeLivePage, o
     await expect(page.locator(".card dl")).to_contain_text("Objectellipse")
     await expect(page.locator(".events li")).to_contain_text("Contact 7 begins to slip")
     unknown = touch | {"slip_margin": None, "slip_reason_code": "friction_unknown"}
-    await fake.send("contacts", header(status="ok", seq=2, contacts=[unknown]))
+    await fake.send("contacts", header(status="ok", seq=2, t_ns="0", contacts=[unknown]))  # before all truth
     await expect(page.locator(".gauge output")).to_have_text("not known: friction unknown")
+    await expect(page.locator(".card .true")).to_be_empty()
 
 
 async def test_health_shows_losses_latency_and_calibration(fake: FakeLivePage, open_page: Open) -> None:
