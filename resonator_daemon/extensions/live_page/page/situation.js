@@ -13,6 +13,7 @@ const SITUATIONS = {
   computer_busy: ["The computer is busy", "hung", "warn"],
   board_hung: ["The board sends nothing", "hung", "bad"],
   board_rebooted: ["Working; the board restarted", "reboot", "note"],
+  sensor_stalled: ["The sensor has no results", "hung", "bad"],
   sensor_drifting: ["The sensor drifts", "drift", "warn"],
   recording_over: ["End of the recording", "stop", "off"],
   sensor_suspect: ["Sites are suspect", "drift", "warn"],
@@ -23,13 +24,14 @@ const SITUATIONS = {
 };
 
 // Which part's state a situation began with.
-const SINCE = { clean_stop: "daemon", crash: "daemon", cable_out: "link", board_hung: "link", sensor_drifting: "sensor", no_broker: "broker", no_server: "server" };
+const SINCE = { clean_stop: "daemon", crash: "daemon", cable_out: "link", board_hung: "link", sensor_stalled: "sensor", sensor_drifting: "sensor", no_broker: "broker", no_server: "server" };
 
 function code({ daemon, link, sensor }) {
   if (!daemon) return "never_started";
   if (daemon.state === "offline") return { stopped: "clean_stop", recording_over: "recording_over" }[daemon.reasonCode] ?? "crash";
   if (daemon.state === "online") {
     if (link?.reasonCode === "recording_over") return "recording_over";
+    if (link?.state === "online" && sensor?.state === "stalled") return "sensor_stalled";
     if (link?.reasonCode === "computer_busy") return "computer_busy";
     if (["lost", "waiting"].includes(link?.state)) return "cable_out";
     if (link?.state === "stalled") return "board_hung";
@@ -61,6 +63,8 @@ function detail(found, { daemon, link, sensor, broker }, version) {
     case "cable_out":
     case "board_hung":
       return link.reason;
+    case "sensor_stalled":
+      return [sensor.reason, link.reasonCode === "computer_busy" && link.reason].filter(Boolean).join("; ");
     case "computer_busy":
       return `${link.reason}. Give the daemon precedence (CPUWeight, nice), decode elsewhere, or lower the frame rate.`;
     case "board_rebooted":

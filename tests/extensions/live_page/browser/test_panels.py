@@ -285,6 +285,7 @@ async def test_health_shows_losses_latency_and_calibration(fake: FakeLivePage, o
 
 
 OFFLINE = {"state": "offline", "reason_code": "stopped"}
+STALLED = {"state": "stalled", "reason_code": "decoder_hung"}
 
 
 @pytest.mark.parametrize(
@@ -300,6 +301,7 @@ OFFLINE = {"state": "offline", "reason_code": "stopped"}
         (ONLINE | {"link": {"state": "stalled"}, "sensor": {"state": "waiting"}}, "board_hung"),
         (ONLINE | {"link": {"state": "online", "reason_code": "computer_busy"}}, "computer_busy"),
         (ONLINE | {"link": {"state": "stalled", "reason_code": "computer_busy"}}, "computer_busy"),
+        (ONLINE | {"link": {"state": "online", "reason_code": "computer_busy"}, "sensor": STALLED}, "sensor_stalled"),
         (ONLINE | {"link": {"state": "online", "boot_count": 2}}, "board_rebooted"),
         (ONLINE | {"sensor": {"state": "drifting"}}, "sensor_drifting"),
         (ONLINE | {"sensor": {"state": "online", "reason_code": "sensor_suspect"}}, "sensor_suspect"),
