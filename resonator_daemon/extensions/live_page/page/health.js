@@ -93,7 +93,7 @@ export class HealthPanel {
 
   #figures(model, page, nowMs) {
     const { health, info, previousHealth: before } = model;
-    const main = model.isSkin && model.newest("decoded") ? "decoded" : "forces";
+    const main = model.isSkin && !model.isOffline && model.newest("decoded") ? "decoded" : "forces";
     const rows = [];
     const rate = this.#rate(model, main, nowMs);
     rows.push(["Frames of the board", Number.isFinite(health?.frameRate) ? `${fixed(health.frameRate, 0)} of ${quantity(info?.frameRate, 0, "/s")}` : UNKNOWN]);

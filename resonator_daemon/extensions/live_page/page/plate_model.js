@@ -102,7 +102,12 @@ export class PlateModel {
     }
     this.states[part] = payload;
     if (part === "daemon" && payload.run && payload.run !== this.run) this.#clearRun(payload.run);
-    if (part === "daemon" && payload.state === "offline") (this.streams = {}), (this.health = null), this.trails.clear();
+    if (part === "daemon" && payload.state === "offline") {
+      const { decoded } = this.streams; // the last map stays, and is marked as such
+      this.streams = decoded ? { decoded } : {};
+      this.health = null;
+      this.trails.clear();
+    }
   }
 
   #read(path, bytes) {

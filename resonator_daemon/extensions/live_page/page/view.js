@@ -104,7 +104,8 @@ export class View {
     const isStale = hasData && (isCut || (isPlaying && model.isStale(nowMs)));
     root.classList.toggle("stale", isStale || model.isOffline);
     root.classList.toggle("cut", isCut);
-    setText(root.querySelector(".stale-note"), isStale ? `Last values, ${duration((nowMs - model.arrived) / 1000)} old` : "");
+    const past = isStale ? "values" : model.isOffline && model.isSkin && model.newest("decoded") ? "map" : "";
+    setText(root.querySelector(".stale-note"), past && `Last ${past}, ${duration((nowMs - model.arrived) / 1000)} old`);
     if (model.isSkin) this.surface.describe(model);
     else this.plate.describe(model);
     this.contacts.describe(model, isStale);

@@ -152,6 +152,8 @@ async def test_relief_is_loaded_when_chosen_and_shows_the_displacement(fake: Fak
     assert await height_px(page, "truth") == pytest.approx(flat, abs=0.5)
     await fake.send("decoded", pressed(0.3e-3, traction_std_pascal=array(np.ones((3, 7)))))  # not one for each pixel
     await expect(text).to_contain_text("deepest")
+    await fake.send("state/daemon", header(state="offline", reason_code="connection_lost", daemon_boot_id=""))
+    await expect(page.locator(".stale-note")).to_contain_text("Last map")
     await page.select_option(".surface-panel select", "std")
     await expect(text).not_to_contain_text("deepest")
     await expect(page.locator(".view")).to_have_class(re.compile("stale"))
