@@ -9,6 +9,9 @@ const TWICE = [["#000a", 2], ["#fff", 0]]; // colours of a line, and how much wi
 /** What a picture of the plate shows, as points in metres. */
 export const extent = ({ outline, transducers, sites }) => [...outline, ...transducers, ...sites.map(({ position }) => position)];
 
+/** Whether an outline encloses an area, to which a map is cut. */
+export const isArea = (outline) => outline.length > 2;
+
 export function circle(context, x, y, radius) {
   context.beginPath();
   context.arc(x, y, radius, 0, 7);

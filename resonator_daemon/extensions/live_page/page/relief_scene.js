@@ -1,6 +1,7 @@
 // What the relief draws with three.js: the shaded surface, the plate's outline, a scale of depth, presses, and labels.
 
 import { theme } from "./colours.js";
+import { isArea } from "./marks.js";
 import { make, roundBelow, setText } from "./text.js";
 import {
   AmbientLight, BufferAttribute, BufferGeometry, ColorManagement, DirectionalLight, DoubleSide, LineBasicMaterial, LineLoop,
@@ -12,6 +13,8 @@ const AMBIENT = 0.62 * Math.PI; // a share of the light that shows a colour as t
 const DIRECTED = 0.5 * Math.PI;
 const CROSS = 0.03; // of the plate's size: half of a press's cross
 const SCALE = 0.15; // of it: the scale of depth at most
+const ASIDE = 0.05; // of it: distance of the axes from the plate
+const HEAD = 0.03; // of it: the heads of the axes, towards larger values
 const STEM = 0.2; // of it: how high the force of a contact stands above it
 const MESH_LINES = 16; // along each side, at most
 const RADIANS = Math.PI / 180;
@@ -40,21 +43,47 @@ function setPoints(object, points) {
   object.visible = points.length > 0;
 }
 
-/** Triangles over a grid of heights, with lines that show its shape; what has an unknown corner is left out. */
+/** Distance of a point from the edge of an outline, negative outside; 1 where the outline has no area. */
+function depthInside([x, y], outline) {
+  if (!isArea(outline)) return 1;
+  let [least, isInside] = [Infinity, false];
+  outline.forEach(([x1, y1], index) => {
+    const [x0, y0] = outline.at(index - 1);
+    const [dx, dy] = [x1 - x0, y1 - y0];
+    const share = Math.max(0, Math.min(1, ((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy || 1)));
+    least = Math.min(least, Math.hypot(x - x0 - share * dx, y - y0 - share * dy));
+    if (y0 > y !== y1 > y && x < x0 + (dx * (y - y0)) / dy) isInside = !isInside;
+  });
+  return isInside ? least : -least;
+}
+
+/** Make a material leave out what lies outside of the outline: where the attribute `inside` is negative. */
+function cutOff(material) {
+  material.onBeforeCompile = (shader) => {
+    shader.vertexShader = shader.vertexShader.replace("void main() {", "attribute float inside; varying float vInside; void main() { vInside = inside;");
+    shader.fragmentShader = shader.fragmentShader.replace("void main() {", "varying float vInside; void main() { if (vInside < 0.0) discard;");
+  };
+}
+
+/** Triangles over a grid of heights, with lines that show its shape; left out: what has an unknown corner or is outside of the outline. */
 class Surface {
-  constructor({ rows, columns, pitch, corner }) {
+  constructor({ rows, columns, pitch, corner }, outline) {
+    this.outline = outline;
     Object.assign(this, { rows, columns, pitch: 1e3 * pitch, corner: [...corner] });
     const count = rows * columns;
     this.heights = new Float32Array(count);
     const geometry = new BufferGeometry();
     const [places, normals] = [new Float32Array(3 * count), new Float32Array(3 * count)];
+    const inside = new BufferAttribute(new Float32Array(count), 1);
     for (let at = 0; at < count; at++) {
       places[3 * at] = 1e3 * corner[0] + this.pitch * (at % columns);
       places[3 * at + 2] = 1e3 * corner[1] + this.pitch * Math.floor(at / columns);
+      inside.array[at] = depthInside([places[3 * at] / 1e3, places[3 * at + 2] / 1e3], outline);
     }
     geometry.setAttribute("position", new BufferAttribute(places, 3));
     geometry.setAttribute("normal", new BufferAttribute(normals, 3));
     geometry.setAttribute("color", new BufferAttribute(new Uint8Array(4 * count), 4, true));
+    geometry.setAttribute("inside", inside);
     geometry.setIndex(new BufferAttribute(new Uint32Array(6 * Math.max(0, (rows - 1) * (columns - 1))), 1));
     const material = new MeshLambertMaterial({ vertexColors: true, side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
     this.mesh = new Mesh(geometry, material);
@@ -64,11 +93,14 @@ class Surface {
     Object.assign(this.lines.material, { transparent: true, opacity: 0.3 });
     this.lines.geometry.setAttribute("position", geometry.attributes.position);
     this.lines.geometry.setIndex(new BufferAttribute(new Uint32Array(4 * count), 1));
+    this.lines.geometry.setAttribute("inside", inside);
+    cutOff(material);
+    cutOff(this.lines.material);
     this.mesh.add(this.lines);
   }
 
-  fits({ rows, columns, pitch, corner }) {
-    return rows === this.rows && columns === this.columns && 1e3 * pitch === this.pitch && corner.every((value, axis) => value === this.corner[axis]);
+  fits({ rows, columns, pitch, corner }, outline) {
+    return outline === this.outline && rows === this.rows && columns === this.columns && 1e3 * pitch === this.pitch && corner.every((value, axis) => value === this.corner[axis]);
   }
 
   set({ depths, pixels }, exaggeration) {
@@ -117,18 +149,26 @@ class Surface {
   }
 }
 
-/** The axes along the edges, and a line down that is as long as a round depth: points of lines, and labels. */
-function scaleOf([left, top, right, bottom], size, exaggeration) {
+/** Axes next to the edges nearest to the viewer, and a line down from the outline that is as long as a round depth: points, labels. */
+function scaleOf([left, top, right, bottom], outline, azimuth, size, exaggeration) {
   const depth = roundBelow((SCALE * size) / exaggeration);
-  const [x, z, low] = [1e3 * left, 1e3 * bottom, -depth * exaggeration];
-  const [east, north] = [1e3 * right, 1e3 * top];
+  const [toX, toZ] = [Math.sin(azimuth * RADIANS), Math.cos(azimuth * RADIANS)]; // where the viewer is
+  const [west, north, east, south] = [left, top, right, bottom].map((metres) => 1e3 * metres);
+  const [x, z] = [toX > 0 ? east + ASIDE * size : west - ASIDE * size, toZ >= 0 ? south + ASIDE * size : north - ASIDE * size];
+  const corners = outline.length ? outline : [[toX > 0 ? right : left, toZ >= 0 ? bottom : top]];
+  const nearness = ([cornerX, cornerY]) => toX * cornerX + toZ * cornerY;
+  const [footX, footZ] = corners.reduce((best, corner) => (nearness(corner) > nearness(best) ? corner : best)).map((metres) => 1e3 * metres);
+  const head = HEAD * size;
   const axis = (name, from, to) => `${name} ${Number(from.toFixed(1))} to ${Number(to.toFixed(1))} mm`.replaceAll("-", "−");
   return [
-    [[x, 0, z], [x, low, z], [x, 0, z], [east, 0, z], [x, 0, z], [x, 0, north]],
     [
-      { text: `${Number(depth.toPrecision(1))} mm = ${Number((1e3 * depth).toPrecision(1))} µm deep`, kind: "axis", place: [x, low, z] },
-      { text: axis("x", x, east), kind: "axis", place: [(x + east) / 2, 0, z] },
-      { text: axis("y", north, z), kind: "axis", place: [x, 0, (z + north) / 2] },
+      ...[[footX, 0, footZ], [footX, -depth * exaggeration, footZ], [west, 0, z], [east, 0, z], [x, 0, north], [x, 0, south]],
+      ...[-1, 1].flatMap((side) => [[east, 0, z], [east - head, 0, z + (side * head) / 2], [x, 0, south], [x + (side * head) / 2, 0, south - head]]),
+    ],
+    [
+      { text: `${Number(depth.toPrecision(1))} mm = ${Number((1e3 * depth).toPrecision(1))} µm deep`, kind: "axis", place: [footX, -depth * exaggeration, footZ] },
+      { text: axis("x", west, east), kind: "axis", place: [(west + east) / 2, 0, z] },
+      { text: axis("y", north, south), kind: "axis", place: [x, 0, (north + south) / 2] },
     ],
   ];
 }
@@ -185,9 +225,9 @@ export class ReliefScene {
 
   draw({ info, bounds, azimuth, elevation, exaggeration }, map, labels, presses) {
     if (!this.#width && !this.#resize()) return;
-    if (map && !this.surface?.fits(map)) {
+    if (map && !this.surface?.fits(map, info.outline)) {
       if (this.surface) this.scene.remove(this.surface.mesh), this.surface.dispose();
-      this.surface = new Surface(map);
+      this.surface = new Surface(map, info.outline);
       this.scene.add(this.surface.mesh);
     }
     if (this.surface) this.surface.mesh.visible = Boolean(map);
@@ -199,7 +239,7 @@ export class ReliefScene {
       const foot = [1e3 * position[0], map ? this.surface.heightAt(position) : 0, 1e3 * position[1]];
       return { ...label, foot, place: label.kind === "contact" ? [foot[0], STEM * size, foot[2]] : foot };
     });
-    const [points, names] = scaleOf(bounds, size, exaggeration);
+    const [points, names] = scaleOf(bounds, info.outline, azimuth, size, exaggeration);
     setPoints(this.scale, [...points, ...placed.flatMap(({ foot, place }) => (foot === place ? [] : [foot, place]))]);
     const half = CROSS * size;
     const crosses = [...presses].map(({ position: [x, y] }) => [1e3 * x, 1e3 * y]);

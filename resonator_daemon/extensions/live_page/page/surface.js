@@ -2,7 +2,7 @@
 
 import { MAPS, theme } from "./colours.js";
 import { slipState } from "./contacts.js";
-import { drawOutline, drawPresses, drawSuspects, drawTrails, drawTransducers, drawTruth, extent, twice } from "./marks.js";
+import { drawOutline, drawPresses, drawSuspects, drawTrails, drawTransducers, drawTruth, extent, isArea, twice } from "./marks.js";
 import { ReliefPanel } from "./relief.js";
 import { BOLD, Scene } from "./scene.js";
 import { metres, normalForce, pascals, setText } from "./text.js";
@@ -14,6 +14,7 @@ const SIGMAS = 3; // of its noise, which a shear exceeds that is drawn
 const OUTSIDE = 1.2; // times a contact's radius: beyond its outline
 const STICK_LABEL_PX = 45; // radius with room for it
 const RASTER = 128; // pixels along each side where sites are scattered
+const REACH = 2; // mean distances of sites: farther from the nearest, the map is not known
 
 const LAYERS = {
   traction: { map: MAPS.viridis, unit: pascals, name: "normal traction", least: 1e3 },
@@ -109,7 +110,7 @@ export class SurfacePanel {
     const [columns, rows] = [Math.ceil((right - left) / pitch), Math.ceil((bottom - top) / pitch)];
     const nearest = new Int32Array(columns * rows).fill(-1);
     const distance = new Float32Array(columns * rows).fill(Infinity);
-    const reach = Math.min(RASTER, Math.ceil(1.2 * Math.sqrt((columns * rows) / Math.max(1, sites.length))));
+    const reach = Math.min(RASTER, Math.ceil(REACH * Math.sqrt((columns * rows) / Math.max(1, sites.length))));
     sites.forEach(({ position: [x, y] }, index) => {
       const [column, row] = [(x - left) / pitch - 0.5, (y - top) / pitch - 0.5];
       const [firstRow, lastRow] = [Math.max(0, Math.ceil(row - reach)), Math.min(rows - 1, Math.floor(row + reach))];
@@ -247,7 +248,10 @@ export class SurfacePanel {
     const [x, y] = isGrid ? this.places.origin : this.places.corner;
     context.imageSmoothingEnabled = false;
     const size = this.scene.scale * pitch;
+    context.save();
+    if (isArea(this.info.outline)) this.scene.polygon(context, this.info.outline), context.clip();
     context.drawImage(this.picture, this.scene.x(x) - size / 2, this.scene.y(y) - size / 2, size * columns, size * rows);
+    context.restore();
   }
 
   /** The line at 15 % of the peak between neighbouring pixels (marching squares). */
