@@ -181,6 +181,7 @@ export class ReliefScene {
   constructor(canvas, context, labels, onChange) {
     this.canvas = canvas;
     this.labels = labels;
+    this.sizes = new WeakMap(); // of the elements in it
     this.renderer = new WebGLRenderer({ canvas, context });
     this.renderer.outputColorSpace = LinearSRGBColorSpace;
     this.camera = new PerspectiveCamera(VIEW_DEGREES);
@@ -267,17 +268,39 @@ export class ReliefScene {
     this.camera.updateMatrixWorld();
   }
 
-  /** Elements with text over the picture; hidden from assistive technology, as lists and the canvas' label have the same. */
+  /**
+   * Elements with text over the picture; hidden from assistive technology, as lists and the canvas' label have the same.
+   *
+   * Text is moved into the picture. Names of axes, which come last, are also moved below the others.
+   */
   #label(labels) {
     const { children } = this.labels;
     while (children.length > labels.length) this.labels.lastChild.remove();
+    const boxes = [];
     labels.forEach(({ text, kind, place }, index) => {
       const element = children[index] ?? this.labels.appendChild(make("span"));
-      const { x, y } = new Vector3(...place).project(this.camera);
-      if (element.className !== kind) element.className = kind;
-      setText(element, text);
-      element.style.left = `${((x + 1) / 2) * this.#width}px`;
-      element.style.top = `${((1 - y) / 2) * this.#height}px`;
+      const middle = new Vector3(...place).project(this.camera);
+      const box = { x: ((middle.x + 1) / 2) * this.#width, y: ((1 - middle.y) / 2) * this.#height, ...this.#halfSize(element, text, kind) };
+      const inside = (value, half, size) => Math.max(half, Math.min(size - half, value));
+      if (text) box.x = inside(box.x, box.wide, this.#width);
+      const covered = () => boxes.filter((other) => Math.abs(other.x - box.x) < other.wide + box.wide && Math.abs(other.y - box.y) < other.high + box.high);
+      for (let found = kind === "axis" ? covered() : []; found.length; found = covered()) {
+        box.y = Math.max(...found.map(({ y, high }) => y + high)) + box.high + 1;
+      }
+      if (text) box.y = inside(box.y, box.high, this.#height), boxes.push(box);
+      element.style.left = `${box.x}px`;
+      element.style.top = `${box.y}px`;
     });
+  }
+
+  /** Set text and kind of a label, and return half of its size in pixels; measured only when they change. */
+  #halfSize(element, text, kind) {
+    const key = `${kind} ${text}`;
+    if (this.sizes.get(element)?.key !== key) {
+      element.className = kind;
+      setText(element, text);
+      this.sizes.set(element, { key, wide: element.offsetWidth / 2, high: element.offsetHeight / 2 });
+    }
+    return this.sizes.get(element);
   }
 }
