@@ -1,6 +1,6 @@
 // Panel of the relief: switch, loading of three.js, rotation, text alternative.
 
-import { fixed, roundBelow, setText } from "./text.js";
+import { metres, roundBelow, setText } from "./text.js";
 
 const KEYS = { ArrowLeft: [-10, 0], ArrowRight: [10, 0], ArrowUp: [0, 5], ArrowDown: [0, -5] }; // degrees
 const DEGREES_PER_PX = 0.5;
@@ -11,8 +11,6 @@ const LOWEST = 0.07; // at least, before the exaggeration grows
 const LEAST = 10e-6; // m: smaller displacements are not exaggerated further
 const HALF_LIFE_MS = 5000; // half-life of the largest displacement, so that successive touches keep one exaggeration
 const NO_WEBGL = "The relief needs WebGL 2, which this browser does not have; the flat map has the same values.";
-
-const inBothUnits = (depth) => `${fixed(1e3 * depth, 3)} mm (${fixed(1e6 * depth, 0)} µm)`;
 
 export class ReliefPanel {
   #scene = null;
@@ -157,7 +155,7 @@ export class ReliefPanel {
   /** Return the line below the picture, and write the canvas' text alternative. */
   describe(layer, lacksDisplacement) {
     const absence = lacksDisplacement ? "no displacement was published: [decoding] displacement = true publishes it" : "no map";
-    const height = Number.isFinite(this.depth) ? `height × ${this.exaggeration}, deepest ${inBothUnits(this.depth)}` : absence;
+    const height = Number.isFinite(this.depth) ? `height × ${this.exaggeration}, deepest ${metres(1e-6 * Math.round(1e6 * this.depth))}` : absence;
     const view = `seen from ${this.canvas.dataset.azimuth}° to the side and ${this.canvas.dataset.elevation}° above`;
     const label = `Relief of the skin, coloured by ${layer}: ${height}; ${view}. Arrow keys turn it, Home turns it back.`;
     if (this.canvas.getAttribute("aria-label") !== label) this.canvas.setAttribute("aria-label", label);

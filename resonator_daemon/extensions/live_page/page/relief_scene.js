@@ -2,7 +2,7 @@
 
 import { theme } from "./colours.js";
 import { isArea } from "./marks.js";
-import { make, roundBelow, setText } from "./text.js";
+import { make, metres, roundBelow, setText } from "./text.js";
 import {
   AmbientLight, BufferAttribute, BufferGeometry, ColorManagement, DirectionalLight, DoubleSide, LineBasicMaterial, LineLoop,
   LineSegments, LinearSRGBColorSpace, Mesh, MeshLambertMaterial, PerspectiveCamera, Plane, Raycaster, Scene, Vector2, Vector3, WebGLRenderer,
@@ -166,7 +166,7 @@ function scaleOf([left, top, right, bottom], outline, azimuth, size, exaggeratio
       ...[-1, 1].flatMap((side) => [[east, 0, z], [east - head, 0, z + (side * head) / 2], [x, 0, south], [x + (side * head) / 2, 0, south - head]]),
     ],
     [
-      { text: `${Number(depth.toPrecision(1))} mm = ${Number((1e3 * depth).toPrecision(1))} µm deep`, kind: "axis", place: [footX, -depth * exaggeration, footZ] },
+      { text: `${metres(1e-3 * depth)} deep`, kind: "axis", place: [footX, -depth * exaggeration, footZ] },
       { text: axis("x", west, east), kind: "axis", place: [(west + east) / 2, 0, z] },
       { text: axis("y", north, south), kind: "axis", place: [x, 0, (north + south) / 2] },
     ],
