@@ -10,7 +10,7 @@ const HIGHEST = 0.22; // of the plate's size: the exaggerated depth at most
 const LOWEST = 0.07; // at least, before the exaggeration grows
 const LEAST = 10e-6; // m: smaller displacements are not exaggerated further
 const HALF_LIFE_MS = 5000; // half-life of the largest displacement, so that successive touches keep one exaggeration
-const NO_WEBGL = "The relief needs WebGL 2, which this browser does not have; the flat map has the same values.";
+const NO_WEBGL = "The relief needs WebGL 2, which this browser does not have. Enable hardware acceleration in its settings; the flat map has the same values.";
 
 export class ReliefPanel {
   #scene = null;
