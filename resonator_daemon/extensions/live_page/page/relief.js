@@ -7,9 +7,8 @@ const DEGREES_PER_PX = 0.5;
 const START = { azimuth: -20, elevation: 40 };
 const ELEVATIONS = [20, 90]; // from the side, from above; lower, rays of the picture's upper edge would miss the plate
 const HIGHEST = 0.22; // of the plate's size: the exaggerated depth at most
-const LOWEST = 0.07; // at least, before the exaggeration grows
-const LEAST = 10e-6; // m: smaller displacements are not exaggerated further
-const HALF_LIFE_MS = 5000; // half-life of the largest displacement, so that successive touches keep one exaggeration
+const LEAST = 100e-6; // m: smaller displacements are not exaggerated further
+const ALIKE = 1.05; // ratio of the largest displacements up to which two presses get one exaggeration
 const NO_WEBGL = "The relief needs WebGL 2, which this browser does not have. Enable hardware acceleration in its settings; the flat map has the same values.";
 
 export class ReliefPanel {
@@ -127,7 +126,8 @@ export class ReliefPanel {
     this.bounds = [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
     this.info = info;
     this.exaggeration = 1;
-    [this.largest, this.drawnMs] = [0, 0]; // displacement in m, as it fades
+    this.before = 1; // exaggeration of the last press
+    this.isPress = false;
   }
 
   /**
@@ -137,19 +137,28 @@ export class ReliefPanel {
    * where it is not known, and the colour; corner is the position of the first. labels: [{position, text, kind}].
    */
   draw(map, labels, presses) {
-    const now = performance.now();
-    let largest = this.largest * 0.5 ** ((now - this.drawnMs) / HALF_LIFE_MS);
+    let largest = 0;
     this.depth = map ? 0 : NaN;
     for (const value of map?.depths ?? []) {
       this.depth = value > this.depth ? value : this.depth;
       largest = Math.abs(value) > largest ? Math.abs(value) : largest;
     }
-    [this.largest, this.drawnMs] = [largest, now];
-    const [left, top, right, bottom] = this.bounds;
-    const room = (HIGHEST * Math.max(right - left, bottom - top)) / Math.max(largest, LEAST);
-    const isTooLow = this.exaggeration < (LOWEST / HIGHEST) * room;
-    if (map && (this.exaggeration > room || isTooLow)) this.exaggeration = roundBelow(Math.max(1, room));
+    if (map) this.#exaggerate(largest, labels.some(({ kind }) => kind === "contact"));
     this.#scene.draw(this, map, labels, presses);
+  }
+
+  /** Choose the exaggeration by the largest displacement in m since the first contact began; without contact, keep it if it fits. */
+  #exaggerate(largest, hasContact) {
+    const [left, top, right, bottom] = this.bounds;
+    const height = HIGHEST * Math.max(right - left, bottom - top);
+    const isPress = hasContact || this.exaggeration * largest > ALIKE * height;
+    if (isPress && !this.isPress) [this.before, this.largest] = [this.exaggeration, LEAST];
+    this.isPress = isPress;
+    if (!isPress) return;
+    this.largest = Math.max(this.largest, largest);
+    const most = height / this.largest;
+    const [less, here, more] = [most / ALIKE, most, most * ALIKE].map((limit) => roundBelow(Math.max(1, limit)));
+    this.exaggeration = [less, more].includes(this.before) ? this.before : here;
   }
 
   /** Return the line below the picture, and write the canvas' text alternative. */

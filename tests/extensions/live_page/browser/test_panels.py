@@ -127,6 +127,7 @@ async def test_relief_is_loaded_when_chosen_and_shows_the_displacement(fake: Fak
     await page.reload()
     await page.wait_for_function("() => resonatord.isOpen")
     await fake.send("decoded", pressed(0.2e-3))
+    await fake.send("contacts", header(status="ok", contacts=[contact()]))
     await expect(page.locator(".scale")).to_contain_text("kPa")
     assert [url for url in requested if "three" in url] == []
     assert len([url for url in requested if "main.js" in url]) == 1
@@ -146,6 +147,10 @@ async def test_relief_is_loaded_when_chosen_and_shows_the_displacement(fake: Fak
     assert await page.locator(RELIEF).screenshot() != before
     await fake.send("decoded", pressed(0.3e-3))  # too deep for that exaggeration
     await expect(text).to_contain_text("height \N{MULTIPLICATION SIGN} 10, deepest 300 µm")
+    for contacts, times in (([], 10), ([contact()], 20)):  # an equal press looks as the first
+        await fake.send("contacts", header(status="ok", contacts=contacts))
+        await fake.send("decoded", pressed(0.2e-3))
+        await expect(text).to_contain_text(f"height \N{MULTIPLICATION SIGN} {times}, deepest 200 µm")
     flat = await page.locator(RELIEF).evaluate("it => it.clientHeight / 2")  # the origin, at which the camera looks
     await fake.send("decoded", decoded(hertz(1.0, 0.003)))
     await expect(text).to_contain_text("no displacement was published")
