@@ -35,6 +35,7 @@ from resonator_daemon.board.session.link_events import SnapshotTaken, WireEvent,
 log = logging.getLogger(__name__)
 
 FilePath = str | os.PathLike[str]  # `str` of it names the file in messages
+SHORTENED_URL: Final = re.compile(r"\w+:/[^/]")  # begins a path that was made of a URL, and lost one slash
 
 STILL_WRITTEN: Final = "still being written"  # damage of a file whose end is to come
 
@@ -298,8 +299,7 @@ def open_file(path: FilePath) -> BufferedReader:
             raise RecordingUnusableError(f"recording {path} is no regular file")
         return open(path, "rb")
     except OSError as error:
-        is_url = re.match(r"\w+:/[^/]", str(path)) is not None  # of which a path has one slash less
-        remedy = "; load_recording and decode-recordings read URLs, for others download it" if is_url else ""
+        remedy = "; a URL is not a path here: download the file first" if SHORTENED_URL.match(str(path)) else ""
         raise RecordingUnusableError(f"recording {path}: {meaning_of(error)}{remedy}") from error
 
 

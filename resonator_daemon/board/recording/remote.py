@@ -1,4 +1,4 @@
-"""Recordings at URLs: their list, temporary copies of them, and URLs without secrets; fsspec has the protocols."""
+"""Recordings at URLs: listing, temporary copies, and removal of secrets from URLs. Uses fsspec."""
 
 import errno
 import re
@@ -57,11 +57,15 @@ def local_file(path: str) -> Iterator[FilePath]:
     with ExitStack() as stack:
         try:
             file = stack.enter_context(tempfile.TemporaryFile())
+        except OSError as error:
+            why = f"no temporary file: {meaning_of(error)}; set TMPDIR to a writable directory"
+            raise RecordingUnusableError(f"recording {without_secrets(path)}: {why}") from error
+        try:
             copy = LocalCopy(f"/proc/self/fd/{file.fileno()}", without_secrets(path))
             with _file_system(path) as (files, remote_path):
                 files.get_file(remote_path, copy.path)  # all at once: some servers send no parts
         except OSError as error:
-            why = f"{meaning_of(error)}; see that URL and server are right, then repeat"
+            why = f"{meaning_of(error)}; check URL, permissions and server, then repeat"
             if error.errno == errno.ENOSPC:
                 why = f"no space for a copy in {tempfile.gettempdir()}; set TMPDIR to another directory"
             raise RecordingUnusableError(f"recording {without_secrets(path)}: {why}") from error
@@ -70,6 +74,8 @@ def local_file(path: str) -> Iterator[FilePath]:
 
 def matching_urls(pattern: str) -> list[str]:
     """Return the URLs that match a pattern, sorted; those of `*.mcap` in a directory.
+
+    Supported protocols are s3 and https.
 
     Raises
     ------
@@ -81,16 +87,20 @@ def matching_urls(pattern: str) -> list[str]:
     with _file_system(pattern) as (files, path):
         # A server of HTTP would send the whole recording to answer whether it is a directory.
         if (plain := without_secrets(pattern)).endswith(".mcap") and not has_magic(plain):
-            return [pattern]  # why it cannot be read, if it cannot, shows where it is
+            return [pattern]  # opening it reports why it cannot be read
         if files.isdir(path):
             path = f"{path.rstrip('/')}/*.mcap"
         return sorted(map(files.unstrip_protocol, files.glob(path)))
 
 
 def without_secrets(text: str) -> str:
-    """Return a URL, or a text that ends with one, without user information, query and fragment."""
+    """Return a URL, or a text that ends with one, without user information, query and fragment.
+
+    A `?` without `key=` is a wildcard; of HTTP, each `?` begins a query.
+    """
     begin, separator, rest = text.partition("://")
-    return begin + separator + re.sub(r"(^|://)[^/?#]*@|[?#].*", r"\1", rest, flags=re.DOTALL)
+    key = "" if re.search("https?://", text) else "(?=[^/?#=]+=)"
+    return begin + separator + re.sub(rf"(^|://)[^/?#]*@|(?:[?]{key}|#).*", r"\1", rest, flags=re.DOTALL)
 
 
 @contextmanager
@@ -106,6 +116,6 @@ def _file_system(url: str) -> Iterator[tuple[Any, str]]:
         # fsspec, or the library of the protocol, such as s3fs
         library = getattr(error.__cause__ or error, "name", None) or "fsspec"
         raise MissingLibraryError(f"{without_secrets(url)} needs {library}: {how_to_install(library)}") from error
-    except Exception as error:  # each protocol has its own
+    except Exception as error:  # each protocol raises its own exceptions
         meaning = _MEANINGS.get(type(error)) or without_secrets(meaning_of(error))
         raise OSError(getattr(error, "errno", None), meaning, without_secrets(url)) from error

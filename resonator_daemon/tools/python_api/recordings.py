@@ -11,6 +11,7 @@ from resonator_daemon.base.errors import UsageError
 from resonator_daemon.base.plate import Plate
 from resonator_daemon.base.toml import nearest
 from resonator_daemon.board.config import Config, load_config
+from resonator_daemon.board.recording.reader import SHORTENED_URL
 from resonator_daemon.board.recording.remote import local_file, without_secrets
 from resonator_daemon.tools.export.output import Recorded
 from resonator_daemon.tools.export.run import differences_in_words, file_metadata, moments_within
@@ -172,7 +173,7 @@ def _load(
     path: str, topics: tuple[str, ...], start: float | str | None, until: float | str | None, config: Config | None
 ) -> LoadedRecording:
     source = without_secrets(path) if "://" in path else Path(path)
-    if isinstance(source, Path) and not source.exists():
+    if isinstance(source, Path) and not source.exists() and not SHORTENED_URL.match(path):
         raise RecordingError(f"recording {path}: there is no file {source.absolute()}; `resonatord record` makes one")
     with local_file(path) as file:
         span = find_span(file, *(None if place is None else str(place) for place in (start, until)))

@@ -15,6 +15,8 @@ def test_user_information_query_and_fragment_of_urls_are_removed() -> None:
     assert without_secrets(f"zip://run.mcap::{url}") == f"zip://run.mcap::{public}"
     assert without_secrets(f"403, message='Forbidden', url='{url}'") == f"403, message='Forbidden', url='{public}"
     assert without_secrets("runs/run?.mcap") == "runs/run?.mcap"
+    assert without_secrets("s3://b/run-?.mcap?X-Amz-Signature=s") == "s3://b/run-?.mcap"
+    assert without_secrets("https://host/run.mcap?SECRET") == "https://host/run.mcap"
 
 
 def test_a_copy_that_cannot_be_opened_is_named_by_its_url(path: Path) -> None:

@@ -126,6 +126,10 @@ def test_a_recording_at_a_url_has_the_same_tables_and_its_copy_is_removed(
     memory.pipe("/runs/bent.mcap", recording("touches").read_bytes().replace(b"force_max_newton", b"force_mix_newton"))
     with pytest.raises(resonatord.UserError, match=r"^memory://runs/bent"):
         resonatord.load_recording("memory://runs/bent.mcap")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
+    for unusable, remedy in ((source, "set TMPDIR"), (Path("https://host/run.mcap"), "download the file")):
+        with pytest.raises(resonatord.RecordingError, match=remedy):
+            resonatord.load_recording(unusable)
 
 
 @pytest.mark.parametrize("missing", ["fsspec", "s3fs"])
