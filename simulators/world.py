@@ -58,7 +58,7 @@ Change = Callable[[World, dict[str, Any], Value], None]
 """Applies the value of a key to a world, or to the table of its plate; ValueError if it cannot be used."""
 
 
-_FACTOR: Final = 0.2, 5.0  # the tables of a shallower skin take minutes
+_FACTOR: Final = 0.2, 5.0  # range of every factor; below it, tables of the emulated skin take minutes
 
 
 def _number(value: Value, low: float = -math.inf, high: float = math.inf) -> float:
@@ -133,7 +133,7 @@ _KEYS: Final[dict[str, _Key]] = {
     "positions_mm": _Key(_SKIN, 0.1, "a standard deviation of the coordinates of sites", _set("positions_mm")),
     "common_walk": _Key(_SKIN, 1e-8, "a relative random walk of all frequencies in 1 s", _set("common_walk")),
     "oscillator": _Key(_SITES, 3.0, "a factor of the noise of the oscillators", _set("oscillator")),
-    "dead": _Key(_SKIN, "p_n@417", "SIGNAL@SITE of the plate, joined by +", _add_dead),
+    "dead": _Key(_SKIN, "p_n@417", "signals that do not react to load, as SIGNAL@SITE, joined by +", _add_dead),
 }
 
 

@@ -14,7 +14,7 @@ from resonator_daemon.base.reasons import Reason, ReasonCode
 BUSY_PERCENT: Final = 65.0  # eight busy programs on two processors: 70 to 95; `resonatord demo` alone on two: 41
 _NOT_BUSY_PERCENT: Final = 57.0
 _TIME_CONSTANT_NS: Final = 1_200_000_000
-_SAMPLE_NS: Final = 50_000_000  # within the shortest silence of a board, which a sample must explain
+_SAMPLE_NS: Final = 50_000_000  # shorter than the shortest frame timeout, so that a sample lies within it
 _THREADS_NS: Final = 250_000_000  # a file for each thread takes 0.3 ms, the one of the computer a tenth
 
 REMEDY: Final = (
@@ -56,7 +56,7 @@ class LoadMeter:
     def sample(self) -> LoadSample:
         """Return the load since the previous sample; if that is less than 50 ms old, the previous sample.
 
-        The threads are looked at every 250 ms, or with each sample where the computer's counter is missing.
+        Counters of threads are read every 250 ms; without the computer's counter, with each sample.
         """
         now_ns, (before_ns, pressure_before_ns) = time.monotonic_ns(), self._pressure_before
         if now_ns - before_ns < _SAMPLE_NS:

@@ -17,7 +17,7 @@ _FLAGS: Final = (
     RecordFlag.CAPTURE_SWITCH,
     RecordFlag.LOST_EDGE,
     RecordFlag.SATURATED,
-)  # the first one that is set counts
+)  # in order of precedence
 FAULTS_IN_WORDS: Final = {
     "no_signal": "no signal",
     "overflow": "its counter overflowed",

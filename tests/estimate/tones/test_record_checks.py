@@ -48,10 +48,10 @@ def test_a_steady_tone_has_no_fault():
 @pytest.mark.parametrize(
     ("change", "cause"),
     [
-        ({"flags": RecordFlag.NO_SIGNAL}, "no_signal"),
-        ({"flags": RecordFlag.OVERFLOW}, "overflow"),
-        ({"flags": RecordFlag.CAPTURE_SWITCH | RecordFlag.STRIDE_BREAK}, "capture_switch"),
-        ({"flags": RecordFlag.LOST_EDGE}, "lost_edge"),
+        ({"flags": RecordFlag.NO_SIGNAL | RecordFlag.OVERFLOW}, "no_signal"),
+        ({"flags": RecordFlag.OVERFLOW | RecordFlag.CAPTURE_SWITCH}, "overflow"),
+        ({"flags": RecordFlag.CAPTURE_SWITCH | RecordFlag.LOST_EDGE | RecordFlag.STRIDE_BREAK}, "capture_switch"),
+        ({"flags": RecordFlag.LOST_EDGE | RecordFlag.SATURATED}, "lost_edge"),
         ({"flags": RecordFlag.SATURATED}, "saturated"),
         ({"stamps": 1}, "impossible_counts"),
         ({"stamps": 2, "span_ticks": 1000, "s1_ticks": 1000, "s2_ticks": 1000}, "impossible_counts"),
@@ -69,6 +69,10 @@ def test_a_steady_tone_has_no_fault():
 )
 def test_impossible_records_are_named(change, cause):
     assert fault(GOOD._replace(**change)) == cause
+
+
+def test_faults_of_flags_have_the_names_of_the_wire_in_order_of_precedence():
+    assert FAULTS[1:6] == tuple(RecordFlag(bit).name.lower() for bit in (0x10, 0x02, 0x08, 0x01, 0x04))
 
 
 def test_sums_that_contradict_each_other_give_no_frequency() -> None:
