@@ -5,6 +5,7 @@ import json
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from typing import Any
+from unittest.mock import patch
 
 import aiomqtt
 import pytest
@@ -20,12 +21,13 @@ async def until(predicate: Callable[[], bool]) -> None:
             await asyncio.sleep(0.005)
 
 
-async def logged_once(caplog: pytest.LogCaptureFixture, text: str) -> None:
-    """Wait for a line of log with this text, in any case, which the next attempts do not repeat."""
-    await until(lambda: text.lower() in caplog.text.lower())
-    for _ in range(10):
-        await asyncio.sleep(0.002)
-    assert len(caplog.records) == 1
+async def logged_once(caplog: pytest.LogCaptureFixture, pause_s: float) -> str:
+    """Wait for five attempts, each with a timer of this pause; return the only line of log."""
+    loop = asyncio.get_running_loop()
+    with patch.object(loop, "call_later", wraps=loop.call_later) as timers:
+        await until(lambda: [timer.args[0] for timer in timers.call_args_list].count(pause_s) >= 5)
+    (line,) = caplog.messages
+    return line
 
 
 def skipping(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Awaitable[None]]:

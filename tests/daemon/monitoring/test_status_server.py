@@ -82,7 +82,7 @@ async def test_a_running_daemons_socket_is_not_taken_before_it_ends(
                 second.run().send(None)  # before it waits for anything
             assert not second.may_begin.is_set()
             async with serving(path, retry_s=0.001):
-                await logged_once(caplog, f"process {other.pid}")
+                assert f"process {other.pid}" in await logged_once(caplog, 0.001)
                 assert json.loads(await ask(path))["instance"] == "other"
                 other.kill()
                 await until(lambda: other.poll() is not None)
@@ -96,7 +96,7 @@ async def test_a_path_too_long_for_sockets_is_reported_once(tmp_path: Path, capl
     room = PATH_BYTES_MAX - len(os.fsencode(tmp_path)) - len("//status.sock")
     path = tmp_path / ("é" * (room // 2) + "e" * (room % 2 + 1)) / "status.sock"
     async with serving(path, retry_s=0.001):
-        await logged_once(caplog, "has 108 bytes, and sockets take 107 at most; give")
+        assert "has 108 bytes, and sockets take 107 at most; give" in await logged_once(caplog, 0.001)
 
 
 @pytest.mark.parametrize("name", ["run", "run/status.sock"])
@@ -111,7 +111,7 @@ async def test_what_is_in_the_way_is_left_alone_and_logged_once(
     else:
         in_the_way.write_text("kept")
     async with serving(path, retry_s=0.001):
-        await logged_once(caplog, str(in_the_way))
+        assert str(in_the_way) in await logged_once(caplog, 0.001)
         assert in_the_way.is_symlink() if link else in_the_way.read_text() == "kept"
         assert not (tmp_path / "nowhere").exists()
         in_the_way.unlink()
@@ -141,7 +141,7 @@ async def test_a_socket_or_lock_that_is_removed_is_made_again_and_reported_once(
         await until(lambda: path.exists() and listens(path))
         assert (await ask(path)).endswith(b"}\n")
         assert (path.stat().st_ino, path.with_suffix(".lock").stat().st_ino) != before
-        await logged_once(caplog, f"{path} or its lock was removed or replaced: made again")
+        assert await logged_once(caplog, 0.001) == f"{path} or its lock was removed or replaced: made again"
     assert not path.exists()
 
 
