@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from command_line import PROGRAM, ended, exit_code
+from command_line import PROGRAM, exit_code, run_command
 
 from resonator_daemon.board.config import load_config
 from resonator_daemon.commands._command_line import command_names
@@ -127,7 +127,7 @@ def test_a_command_of_an_extension_fails_alone(tmp_path: Path) -> None:
         (tmp_path / name).write_text(text)
 
     def run(*words: str) -> tuple[int, str, list[str]]:
-        done = ended(*words, env=os.environ | {"PYTHONPATH": str(tmp_path)})
+        done = run_command(*words, env=os.environ | {"PYTHONPATH": str(tmp_path)})
         left_out = [line.split()[2] for line in done.stderr.splitlines() if line.startswith("warning: extension ")]
         return done.returncode, done.stdout, left_out
 

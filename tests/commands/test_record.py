@@ -9,7 +9,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from command_line import PROGRAM, ended
+from command_line import PROGRAM, run_command
 from emulation import emulated
 from recording_bench import read, replayed
 
@@ -33,7 +33,7 @@ def test_a_second_of_a_board_is_recorded(tmp_path: Path) -> None:
     port, output = tmp_path / "board", tmp_path / "run.mcap"
     path = config(tmp_path, f"serial:{port}?baud=4000000")
     with emulated(EmulatorOptions("quartz16", pty=port)):
-        made = ended("record", "--config", path, "--output", output, "--seconds", 1, "--json")
+        made = run_command("record", "--config", path, "--output", output, "--seconds", 1, "--json")
     assert made.returncode == 0, made.stderr
     report = json.loads(made.stdout)
     assert (report["verb"], report["ok"], report["board"], report["file"]) == ("record", True, "EMU-0001", str(output))

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from command_line import ended
+from command_line import run_command
 
 from resonator_daemon.board.recording.reader import open_recording
 
@@ -24,7 +24,7 @@ def test_carrier_export_finding_and_sensor_of_another_package(tmp_path: Path) ->
     subprocess.run([*PIP, "--target", tmp_path / "installed", tmp_path / "source"], check=True, timeout=120)
 
     def run(*words: object) -> dict[str, Any]:
-        done = ended(*words, "--json", env=os.environ | {"PYTHONPATH": str(tmp_path / "installed")}, cwd=tmp_path)
+        done = run_command(*words, "--json", env=os.environ | {"PYTHONPATH": str(tmp_path / "installed")}, cwd=tmp_path)
         assert "warning" not in done.stderr
         printed: dict[str, Any] = json.loads(done.stdout)
         return printed

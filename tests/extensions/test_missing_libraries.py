@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
-from command_line import ended
+from command_line import run_command
 
 from resonator_daemon.base.errors import ExitCode
 
@@ -26,7 +26,7 @@ def test_a_missing_library_is_one_message(library: str, words: list[str | Path],
     (tmp_path / library / "__init__.py").write_text("raise ImportError")
 
     def run(*words: str | Path) -> tuple[int, list[str]]:
-        done = ended(*words, env=os.environ | {"PYTHONPATH": str(tmp_path)}, cwd=tmp_path)
+        done = run_command(*words, env=os.environ | {"PYTHONPATH": str(tmp_path)}, cwd=tmp_path)
         return done.returncode, done.stderr.splitlines()
 
     code, (message,) = run(*words)

@@ -191,7 +191,7 @@ async def test_what_a_damaged_file_had_is_counted_as_lost_where_no_new_file_can_
     assert (left.account.dropped["spool_failed"], left.account.waiting) == (101, 0)
 
 
-async def test_delivered_are_not_read_again_with_those_on_disk(generous: Mosquitto, tmp_path: Path) -> None:
+async def test_delivered_events_are_not_read_again_with_those_on_disk(generous: Mosquitto, tmp_path: Path) -> None:
     async with publishing(generous.url, spool_directory=tmp_path / "kept", boot_id="a") as left:
         async with observe(generous.url) as observer:
             await happen(left, range(500))

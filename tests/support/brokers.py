@@ -1,5 +1,6 @@
 """Brokers that tests can kill, freeze and start again: Mosquitto in a child process, amqtt in this one."""
 
+import abc
 import os
 import shutil
 import signal
@@ -39,11 +40,13 @@ async def publish(url: str, topic: str, payload: bytes | str, *, retain: bool = 
         await client.publish(topic, payload, qos=1, retain=retain)
 
 
-class Broker:
+class Broker(abc.ABC):
     """A broker that runs within its context, where it can be killed and started again."""
 
+    @abc.abstractmethod
     async def start(self) -> None: ...
 
+    @abc.abstractmethod
     async def kill(self) -> None: ...
 
     async def __aenter__(self) -> Self:
@@ -75,8 +78,7 @@ class Mosquitto(Broker):
         self._launch()
 
     def _launch(self) -> None:
-        arguments = [self._command, "-c", str(self._config)]
-        self._process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True)
+        self._process = subprocess.Popen([self._command, "-c", str(self._config)], stderr=subprocess.PIPE, text=True)
         assert self._process.stderr is not None
         said = []
         for line in self._process.stderr:

@@ -9,8 +9,8 @@ from resonator_daemon.commands import main
 PROGRAM = (sys.executable, "-m", "resonator_daemon.commands")
 
 
-def ended(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
-    """Run a command in a process of its own to its end."""
+def run_command(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run a command in its own process and return its result."""
     command = [*PROGRAM, *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, **options)
 

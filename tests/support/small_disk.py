@@ -1,11 +1,11 @@
-"""Little room for files: a file system of a few kilobytes, and a limit of the process."""
+"""Limited space for files: a small file system, and a limit of the process."""
 
 import os
 import resource
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -17,21 +17,17 @@ def small_disk(folder: Path, size_bytes: int) -> Iterator[tuple[Path, Callable[[
     disk = folder / "disk"
     disk.mkdir()
     mount = shutil.which("mount") or "/bin/mount"
-    done = subprocess.run(
-        [mount, "-t", "tmpfs", "-o", f"size={size_bytes}", "tmpfs", str(disk)], capture_output=True, check=False
-    )
-    if done.returncode:
+    command = [mount, "-t", "tmpfs", "-o", f"size={size_bytes}", "tmpfs", str(disk)]
+    if subprocess.run(command, capture_output=True, check=False).returncode:
         pytest.skip("mounting needs root")
     filler = disk / "filler"
 
     def fill() -> None:
         with open(filler, "wb", buffering=0) as file:
             for block in (65536, 4096, 1):
-                try:
+                with suppress(OSError):
                     while True:
                         file.write(b"\0" * block)
-                except OSError:
-                    continue
         assert os.statvfs(disk).f_bavail == 0
 
     try:

@@ -45,10 +45,10 @@ def rapid(pacing: PingPacing) -> bool:
     "steps",
     [
         [(1, 101_000.0, True), (2, 99_000.0, False)],
-        [(25, 2e6, True), (31, 2e6, True), (62, 2e6, False)],  # what a link could long ago is forgotten
+        [(25, 2e6, True), (31, 2e6, True), (62, 2e6, False)],  # the best value of the link is discarded after 30 s
     ],
 )
-def test_above_100_us_it_is_rapid(steps: list[tuple[int, float, bool]]) -> None:
+def test_pings_are_rapid_above_100_us_and_after_the_best_value_expires(steps: list[tuple[int, float, bool]]) -> None:
     pacing = calm()
     assert not rapid(pacing)
     for at_s, uncertainty_ns, expected in steps:

@@ -5,7 +5,7 @@ from subprocess import CompletedProcess
 from typing import Any
 
 import pytest
-from command_line import ended
+from command_line import run_command
 from plates import plate_head, site
 
 from resonator_daemon.base.plate import Plate, load_plate, shipped_plates
@@ -29,7 +29,7 @@ def check(folder: Path, plate: str, *arguments: str, verb: str = "check") -> Com
     config = folder / "board.toml"
     config.write_text('name = "left"\nplate = "plate.toml"\nlink = "tcp://127.0.0.1:9"\n')
     files = ["--config", str(config)] if verb == "run" else [str(config)]
-    return ended(verb, *files, *arguments)
+    return run_command(verb, *files, *arguments)
 
 
 def test_no_shipped_plate_has_codes_that_overlap() -> None:

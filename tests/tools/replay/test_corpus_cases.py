@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 import pytest
-from command_line import ended
+from command_line import run_command
 from corpus_cases import CORPUS, EXPECTED_FILE, case_differences, read_expected, replay_case
 
 from resonator_daemon.commands import main
@@ -56,6 +56,6 @@ def test_replays_are_equal_to_the_byte_in_every_process(tmp_path: Path) -> None:
     here, there = tmp_path / "here.jsonl", tmp_path / "there.jsonl"
     arguments = ["replay", str(CORPUS / "rebooted" / "recording.mcap"), "--to"]
     assert main([*arguments, str(here)]) == 0
-    assert ended(*arguments, there, env=os.environ | {"PYTHONHASHSEED": "20261121"}).returncode == 0
+    assert run_command(*arguments, there, env=os.environ | {"PYTHONHASHSEED": "20261121"}).returncode == 0
     assert here.read_bytes() == there.read_bytes()
     assert here.read_bytes().count(b"\n") > 300
