@@ -75,7 +75,7 @@ def local_file(path: str) -> Iterator[FilePath]:
 def matching_urls(pattern: str) -> list[str]:
     """Return the URLs that match a pattern, sorted; those of `*.mcap` in a directory.
 
-    Supported protocols are s3 and https.
+    The protocols are those of fsspec; tests read from HTTP and memory.
 
     Raises
     ------

@@ -269,8 +269,6 @@ class SkinContacts:
     def _followed_shape(self, contacts: Collection[int], signals: Floats) -> ShapeFit | None:
         """Fit the followed shape of a single contact to this frame; None if none is followed, or the fit fails."""
         if len(contacts) != 1:
-            for track in self._tracks.values():
-                track.shape_fit = None
             return None
         track = self._tracks[next(iter(contacts))]
         if track.shape_fit is not None:
