@@ -59,13 +59,13 @@ def on_disk(directory: Path, run: str = "") -> tuple[set[int], int, bool]:
     copy = directory.parent / "copy"
     shutil.rmtree(copy, ignore_errors=True)
     copy.mkdir()
-    for path in directory.glob(f"{FILE}*"):
-        (copy / path.name).write_bytes(path.read_bytes())
     found = EventFile(copy, "")
     try:
+        for path in directory.glob(f"{FILE}*"):
+            (copy / path.name).write_bytes(path.read_bytes())
         events = {event.seq for event in found.read(EVERY, 100_000)}
         return events, found.open()[1], found.page(run, -1, None, LARGE) is not None
-    except EventFileError:  # it was being written to
+    except (EventFileError, FileNotFoundError):  # it was being written to, or its journal was removed
         return set(), 0, False
     finally:
         found.close()
